@@ -1,0 +1,234 @@
+"""How the world holds a frame: natural constraints A(q) V = 0 (book eq. 11.40 ff., our (1) and (2)).
+
+A contact is a class with `frame`, `A(state)` (k, 6) and `Adot_V(state)` (k,) in the body axes of its frame, angular
+part first. `A' lambda` is what the robot applies to the environment. One source serves the constraint, the force
+variable and the force task; `free(state)` (6 - k, 6) picks the motion that is left, an orthonormal complement unless
+the contact knows better.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from .errors import WrenchError
+from .qp import Array, Rows
+from .robot import State
+from .wrench import VELOCITY_AXES, WRENCH_AXES
+
+
+class Held(NamedTuple):
+    """What a contact demands at this tick: G vdot = rhs, with G = A J and rhs = -(A Jdot v + Adot V)."""
+
+    frame: str
+    A: Array  # (k, 6)
+    Adot_V: Array  # (k,)
+    G: Array  # (k, nv)
+    rhs: Array  # (k,)
+    slip: Array  # (k,) A V, zero while the contact holds
+    inverse: Array  # (k, 6) (A')^+, multipliers of a wrench
+    free: Array  # (6 - k, 6) rows that pick the free motion
+
+
+class Contact(ABC):
+    """Base of all contacts. `axes` names the multipliers; by default lambda1, lambda2, ..."""
+
+    frame: str
+    k: int
+
+    @abstractmethod
+    def A(self, state: State) -> Array:
+        """(k, 6) natural constraints in the body axes of `frame`."""
+
+    @abstractmethod
+    def Adot_V(self, state: State) -> Array:
+        """(k,) time derivative of A times the twist of `frame`."""
+
+    def free(self, state: State) -> Array:
+        """(6 - k, 6) rows that pick the free motion."""
+        return complement(self.A(state))
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return tuple(f"lambda{i + 1}" for i in range(self.k))
+
+    @property
+    def free_axes(self) -> tuple[str, ...]:
+        return tuple(f"free{i + 1}" for i in range(6 - self.k))
+
+    def pseudo_inverse(self, A: Array) -> Array:
+        """(k, 6) (A')^+: multipliers of a wrench, lambda = (A')^+ F."""
+        return np.linalg.pinv(A).T
+
+    def hold(self, state: State) -> Held:
+        """Evaluate at a state."""
+        frame, A, Adot_V = state.frame(self.frame), self.A(state), self.Adot_V(state)
+        rhs = -(A.dot(frame.drift) + Adot_V)
+        inverse, free = self.pseudo_inverse(A), self.free(state)
+        return Held(self.frame, A, Adot_V, A.dot(frame.J), rhs, A.dot(frame.V), inverse, free)
+
+    def rows(self, name: str, held: Held) -> Rows:
+        """The hard rows A (J vdot + Jdot v) = -Adot V."""
+        labels = tuple(f"{name}.{axis}" for axis in self.axes)
+        return Rows(name, {"vdot": held.G}, held.rhs, held.rhs, labels=labels)
+
+    def multipliers(self, wrench: Array, state: State, tolerance: float = 1e-9) -> Array:
+        """(k,) lambda with A' lambda = wrench (6,). Raises WrenchError when the contact cannot carry it."""
+        A = self.A(state)
+        lam = self.pseudo_inverse(A) @ wrench
+        rest = wrench - A.T @ lam
+        bad = np.flatnonzero(np.abs(rest) > tolerance * (1.0 + np.abs(wrench).max()))
+        if bad.size:
+            names = ", ".join(f"{WRENCH_AXES[i]} ({rest[i]:+.3g})" for i in bad)
+            raise WrenchError(
+                f"the contact cannot carry {names} of the desired wrench: it lies outside the column space of A'; "
+                "ask for a force only where the world holds the frame"
+            )
+        return lam
+
+
+def complement(A: Array) -> Array:
+    """(6 - k, 6) orthonormal rows that annihilate A'."""
+    return np.linalg.svd(A.reshape(-1, 6))[2][np.linalg.matrix_rank(A) if A.size else 0 :]
+
+
+class MatrixContact(Contact):
+    """Any constant A (k, 6) in the body axes of the frame; its rows must be independent."""
+
+    def __init__(self, frame: str, A: Array) -> None:
+        self.frame, self._A = frame, np.array(A, float).reshape(-1, 6)
+        self.k = self._A.shape[0]
+        if self.k and np.linalg.matrix_rank(self._A) < self.k:
+            raise WrenchError(f"the {self.k} rows of A are not independent (rank {np.linalg.matrix_rank(self._A)})")
+        self._free = complement(self._A)
+        self._inverse = np.linalg.pinv(self._A).T if self.k else self._A
+        self._zero = np.zeros(self.k)
+
+    def A(self, state: State) -> Array:
+        return self._A
+
+    def Adot_V(self, state: State) -> Array:
+        return self._zero
+
+    def free(self, state: State) -> Array:
+        return self._free
+
+    def pseudo_inverse(self, A: Array) -> Array:
+        return self._inverse
+
+
+class AxesContact(MatrixContact):
+    """The book's table: the world holds some axes of the frame (`wx` ... `vz`) and leaves the others free.
+
+    `free`: the free axes; by default all that are not held (a planar arm names fewer).
+    """
+
+    def __init__(self, frame: str, held: tuple[str, ...], free: tuple[str, ...] | None = None) -> None:
+        free = tuple(a for a in VELOCITY_AXES if a not in held) if free is None else free
+        self._held_axes, self._free_axes = held, free
+        super().__init__(frame, np.eye(6)[[VELOCITY_AXES.index(a) for a in held]])
+        self._free = np.eye(6)[[VELOCITY_AXES.index(a) for a in free]]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return tuple(WRENCH_AXES[VELOCITY_AXES.index(a)] for a in self._held_axes)
+
+    @property
+    def free_axes(self) -> tuple[str, ...]:
+        return self._free_axes
+
+
+class WorldAxesContact(AxesContact):
+    """The table with its axes fixed to the world (those of `R`), while the frame may turn: a point on a board.
+
+    A = A_0 blkdiag(R'R_f, R'R_f);   Adot V = A_0 [0; R'R_f (w x v)].
+    """
+
+    def __init__(self, frame: str, held: tuple[str, ...], R: Array, free: tuple[str, ...] | None = None) -> None:
+        super().__init__(frame, held, free)
+        self._R = np.array(R, float)
+
+    def _turned(self, rows: Array, state: State) -> Array:
+        X, R = np.zeros((6, 6)), self._R.T @ state.frame(self.frame).T.rotation
+        X[:3, :3] = X[3:, 3:] = R
+        return rows @ X
+
+    def A(self, state: State) -> Array:
+        return self._turned(self._A, state)
+
+    def free(self, state: State) -> Array:
+        return self._turned(self._free, state)
+
+    def pseudo_inverse(self, A: Array) -> Array:
+        return A  # its rows are orthonormal
+
+    def Adot_V(self, state: State) -> Array:
+        V = state.frame(self.frame).V
+        return self._turned(self._A, state)[:, 3:] @ np.cross(V[:3], V[3:])
+
+
+class ScrewContact(Contact):
+    """The world leaves a frame free along given screws only (a hinge, a slide), fixed to the world.
+
+    `screws` (f, 6) are twists in the axes of the pose `origin`; with A_0 their annihilator, A = A_0 Ad(origin^-1 T).
+    Its Adot V is zero, for d/dt Ad_T = Ad_T ad_V and ad_V V = 0.
+    """
+
+    def __init__(self, frame: str, screws: Array, origin: pin.SE3, names: tuple[str, ...] = ()) -> None:
+        self.frame, self._origin = frame, origin.copy()
+        self._screws = np.array(screws, float).reshape(-1, 6)
+        if np.linalg.matrix_rank(self._screws) < len(self._screws):
+            raise WrenchError("the free screws are not independent")
+        self._A0 = complement(self._screws)
+        self.k = self._A0.shape[0]
+        self._names = names
+        self._zero = np.zeros(self.k)
+
+    def _adjoint(self, state: State) -> Array:
+        X = self._origin.actInv(state.frame(self.frame).T)
+        Ad = X.toActionMatrix()  # linear first
+        return Ad[np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))]
+
+    def A(self, state: State) -> Array:
+        return self._A0 @ self._adjoint(state)
+
+    def Adot_V(self, state: State) -> Array:
+        return self._zero
+
+    def free(self, state: State) -> Array:
+        return np.linalg.pinv(np.linalg.solve(self._adjoint(state), self._screws.T))
+
+    @property
+    def free_axes(self) -> tuple[str, ...]:
+        return self._names or super().free_axes
+
+
+class SphereContact(Contact):
+    """The origin of the frame stays on a sphere around `centre` [m, world]: one row along the normal n = (p - c)/|p - c|.
+
+    A = [0, n' R];   Adot V = n' R (w x v) + ndot' R v   with   ndot = (I - n n') R v / |p - c|.
+    """
+
+    k = 1
+
+    def __init__(self, frame: str, centre: Array) -> None:
+        self.frame, self._centre = frame, np.array(centre, float)
+
+    def A(self, state: State) -> Array:
+        T = state.frame(self.frame).T
+        n = T.translation - self._centre
+        return np.concatenate((np.zeros(3), T.rotation.T @ (n / np.linalg.norm(n))))[None]
+
+    def Adot_V(self, state: State) -> Array:
+        frame = state.frame(self.frame)
+        n = frame.T.translation - self._centre
+        radius = np.linalg.norm(n)
+        n, w, v = frame.T.rotation.T @ n / radius, frame.V[:3], frame.V[3:]
+        return np.array([n @ np.cross(w, v) + (v @ v - (n @ v) ** 2) / radius])
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return ("normal",)

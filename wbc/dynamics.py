@@ -1,0 +1,60 @@
+"""Equations of motion: the affine map (vdot, lambda) -> tau that eliminates the torque, and inertias of row stacks.
+
+    tau = M vdot + h + sum_c G_c' lambda_c,     G_c = A_c J_c
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lapack
+
+from .qp import Array, Rows
+from .robot import State
+
+
+class TorqueMap(NamedTuple):
+    """tau = sum_k A[k] x[k] + b over the named unknowns."""
+
+    A: dict[str, Array]
+    b: Array  # (nv,) [N m]
+
+    def rows(self, name: str, low: Array, high: Array, labels: tuple[str, ...] = ()) -> Rows:
+        """low <= tau <= high."""
+        return Rows(name, self.A, low - self.b, high - self.b, labels=labels)
+
+    def torque(self, x: dict[str, Array]) -> Array:
+        """(nv,) the torque of an answer [N m]."""
+        tau = self.b.copy()
+        for name, A in self.A.items():
+            tau += A.dot(x[name])
+        return tau
+
+
+def torque_map(state: State) -> TorqueMap:
+    """The map at a state whose contacts are evaluated."""
+    A = {"vdot": state.M}
+    for name, held in state.contacts.items():
+        A[name] = held.G.T
+    return TorqueMap(A, state.h)
+
+
+def mobility(state: State, G: Array) -> Array:
+    """(m, m) G M^-1 G', the acceleration that unit forces along the rows of G cause."""
+    return G.dot(state.solve_M(G.T))
+
+
+def inertia(mobility_of_rows: Array) -> Array:
+    """(m, m) inverse of a mobility: M_C of the rows (book 8.6). Directions that cannot move weigh nothing."""
+    m = mobility_of_rows.shape[0]
+    if m == 0:
+        return mobility_of_rows
+    factor, info = lapack.dpotrf(mobility_of_rows, lower=1)
+    pivots = factor.diagonal()
+    if info == 0 and pivots.min() > 1e-7 * pivots.max():
+        return lapack.dpotrs(factor, np.eye(m), lower=1)[0]
+    # dependent rows (redundant contacts, a singular pose): invert what can move
+    values, vectors = np.linalg.eigh(mobility_of_rows)
+    keep = values > 1e-10 * values.max()
+    return (vectors[:, keep] / values[keep]) @ vectors[:, keep].T

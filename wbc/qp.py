@@ -1,0 +1,215 @@
+"""The quadratic program of one tick: rows over named variables, their assembly, and the certificate of an answer.
+
+    min  1/2 x' H x + g' x     subject to     lo <= [x; C x] <= hi        (the first `n_eq` rows of C: lo = hi)
+
+Every task, contact, limit and dynamics equation speaks one language, `Rows` over *named* variables. Only `Workspace`
+knows column numbers; names of rows travel to the multipliers, so that an answer can say which of them are active.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ProblemError
+
+Array = NDArray[np.float64]
+
+
+class Rows(NamedTuple):
+    """`lo <= sum_k A[k] x[k] <= hi` over named variables; as a cost, `1/2 |sum_k A[k] x[k] - lo|^2` in `metric`.
+
+    `A[k]` is (m, size of k), or None for the identity. `metric` is (m, m), symmetric and positive semidefinite;
+    None is the identity. An equality passes one array as `lo` and `hi`.
+    """
+
+    name: str
+    A: Mapping[str, Array | None]
+    lo: Array
+    hi: Array
+    metric: Array | None = None
+    labels: tuple[str, ...] = ()
+
+
+class Problem(NamedTuple):
+    """What a solver sees. The arrays are views of the workspace, valid until the next tick."""
+
+    H: Array  # (n, n)
+    g: Array  # (n,)
+    C: Array  # (m, n)
+    lo: Array  # (n + m,)
+    hi: Array  # (n + m,)
+    n_eq: int
+    stack: Array  # (n + m, n), H over C: one product gives H x and C x
+
+    def copy(self) -> Problem:
+        """The same problem in arrays of its own, to keep beyond the tick."""
+        stack = self.stack.copy()
+        n = self.g.size
+        return Problem(stack[:n], self.g.copy(), stack[n:], self.lo.copy(), self.hi.copy(), self.n_eq, stack)
+
+
+class Certificate(NamedTuple):
+    """Worst residuals of the Karush-Kuhn-Tucker conditions, measured on the problem itself, whatever a solver says.
+
+    primal: violation of a bound or row; dual: |H x + g + C' z|; gap: multiplier times distance to its bound, with the
+    sign that makes it a certificate (z > 0 only at the upper bound, z < 0 only at the lower).
+    """
+
+    primal: float
+    dual: float
+    gap: float
+
+    def holds(self, tolerance: Certificate) -> bool:
+        """False also when a residual is not a number."""
+        return self.primal <= tolerance.primal and self.dual <= tolerance.dual and self.gap <= tolerance.gap
+
+
+UNCERTIFIED = Certificate(math.inf, math.inf, math.inf)
+
+
+def certify(problem: Problem, x: Array, z: Array) -> Certificate:
+    """KKT residuals of `x` (n,) with multipliers `z` (n + m,) of the bounds, then the rows."""
+    n = problem.g.size
+    if x.shape != (n,) or z.shape != problem.lo.shape:
+        return UNCERTIFIED
+    product = problem.stack @ x
+    residual = product[:n] + problem.g
+    residual += z[:n]
+    residual += z[n:] @ problem.C
+    product[:n] = x  # now [x; C x], what the bounds bound
+    above, below = product - problem.hi, problem.lo - product
+    gap = 0.0
+    for i in z[problem.n_eq + n :].nonzero()[0] + (problem.n_eq + n):
+        gap = max(gap, abs(z[i] * (above[i] if z[i] > 0 else below[i])))
+    for i in z[:n].nonzero()[0]:
+        gap = max(gap, abs(z[i] * (above[i] if z[i] > 0 else below[i])))
+    np.maximum(above, below, above)
+    # max() of a comparison with NaN would be silent, the reductions are not
+    return Certificate(float(above.max()), float(max(residual.max(), -residual.min())), float(gap))
+
+
+class Variables:
+    """Names of the unknowns and where each stands in `x`."""
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        self.slices: dict[str, slice] = {}
+        start = 0
+        for name, size in sizes.items():
+            self.slices[name] = slice(start, start + size)
+            start += size
+        self.size = start
+
+    def __getitem__(self, name: str) -> slice:
+        try:
+            return self.slices[name]
+        except KeyError:
+            raise ProblemError(f"no variable named {name!r}; there are {', '.join(self.slices)}") from None
+
+
+class Workspace:
+    """Storage of one structure of the problem, filled in place tick by tick.
+
+    Parameters: the variables, and one sample of every hard row block. Blocks keep their shape and kind: equalities
+    (`lo is hi`), bounds on one variable (`A = {name: None}`), inequalities.
+    """
+
+    def __init__(self, variables: Variables, hard: Sequence[Rows]) -> None:
+        self.variables = variables
+        n = variables.size
+        bounded: set[str] = set()
+        kinds: dict[str, list[Rows]] = {"equality": [], "bound": [], "inequality": []}
+        for rows in hard:
+            kinds[self._kind(rows, bounded)].append(rows)
+        m = sum(rows.lo.size for kind in ("equality", "inequality") for rows in kinds[kind])
+        n_eq = sum(rows.lo.size for rows in kinds["equality"])
+        buffer = np.zeros((n + m) * n + n)  # H over C, then g: one sum finds a number that is not finite
+        stack = buffer[: (n + m) * n].reshape(n + m, n)
+        self.labels = [f"{name}[{i}]" for name, s in variables.slices.items() for i in range(s.stop - s.start)]
+        self._blocks: dict[str, tuple[slice, slice | None]] = {}  # block -> place in lo and hi, place in C
+        for rows in kinds["bound"]:
+            (name,) = rows.A
+            self._blocks[rows.name] = (variables[name], None)
+            self.labels[variables[name]] = rows.labels
+        start = 0
+        for rows in kinds["equality"] + kinds["inequality"]:
+            stop = start + rows.lo.size
+            self._blocks[rows.name] = (slice(n + start, n + stop), slice(start, stop))
+            self.labels += rows.labels or [f"{rows.name}[{i}]" for i in range(stop - start)]
+            start = stop
+        self._buffer = buffer
+        self.problem = Problem(
+            H=stack[:n],
+            g=buffer[(n + m) * n :],
+            C=stack[n:],
+            lo=np.full(n + m, -np.inf),
+            hi=np.full(n + m, np.inf),
+            n_eq=n_eq,
+            stack=stack,
+        )
+
+    @staticmethod
+    def _kind(rows: Rows, bounded: set[str]) -> str:
+        if rows.lo is rows.hi:
+            return "equality"
+        if len(rows.A) == 1 and next(iter(rows.A.values())) is None:
+            (name,) = rows.A
+            if name not in bounded:
+                bounded.add(name)
+                return "bound"
+        return "inequality"
+
+    def clear(self) -> None:
+        """Forget the costs of the last tick; hard rows are overwritten in place."""
+        self.problem.H[:] = 0.0
+        self.problem.g[:] = 0.0
+
+    def minimise(self, rows: Rows, weight: float) -> None:
+        """Add `weight / 2 |A x - lo|^2` in the metric of the rows."""
+        H, g = self.problem.H, self.problem.g
+        metric = rows.metric
+        weighted: list[tuple[slice, Array | None, Array]] = []
+        for name, A in rows.A.items():
+            place = self.variables[name]
+            if A is None:
+                WA = metric if metric is not None else np.eye(rows.lo.size)
+            else:
+                WA = A if metric is None else metric.dot(A)
+            if weight != 1.0:
+                WA = WA * weight
+            weighted.append((place, A, WA))
+        for place, A, WA in weighted:
+            for other, _, WB in weighted:
+                H[place, other] += WB if A is None else A.T.dot(WB)
+            g[place] -= rows.lo.dot(WA)
+
+    def constrain(self, rows: Rows) -> None:
+        """Put a hard block in its place."""
+        bounds, place = self._blocks[rows.name]
+        self.problem.lo[bounds] = rows.lo
+        self.problem.hi[bounds] = rows.hi
+        if place is not None:
+            C = self.problem.C
+            for name, A in rows.A.items():
+                C[place, self.variables[name]] = A if A is not None else np.eye(rows.lo.size)
+
+    def fault(self) -> str:
+        """Why the assembled problem must not reach a solver, or ""."""
+        if not math.isfinite(np.add.reduce(self._buffer)):
+            return "a coefficient of the problem is not finite"
+        crossed = self.problem.lo <= self.problem.hi  # False also for NaN
+        if not crossed.all():
+            first = int(np.argmin(crossed))
+            return f"no value satisfies {self.labels[first]}: its bounds cross or are not numbers"
+        return ""
+
+    def active(self, z: Array, least: float = 1e-9) -> tuple[str, ...]:
+        """Labels of the inequalities whose multiplier exceeds `least`."""
+        n, n_eq = self.problem.g.size, self.problem.n_eq
+        return tuple(
+            self.labels[i] for i in z.nonzero()[0] if abs(z[i]) > least and (i < n or i >= n + n_eq)
+        )

@@ -1,0 +1,160 @@
+"""Desired motion over time: pose, body twist and body acceleration of a frame.
+
+A reference is any callable `t [s] -> Sample`. `Path` builds one from scalar motions along unit screws of a fixed
+frame, by the product of exponentials (book 4.1): T_d = T_in exp([S_1] s_1) exp([S_2] s_2) ...; translations come
+first, then rotations about z, y, x.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from .qp import Array
+
+Scalar = Callable[[float], tuple[float, float, float]]  # t -> position, velocity, acceleration
+
+
+class Sample(NamedTuple):
+    """Desired motion at one time. `motion` (6, 2) holds V_d and its time derivative as columns, in the axes of T."""
+
+    T: pin.SE3
+    motion: Array
+
+    @property
+    def V(self) -> Array:
+        """(6,) desired body twist [rad/s, m/s]."""
+        return self.motion[:, 0]
+
+    @property
+    def Vdot(self) -> Array:
+        """(6,) its derivative [rad/s^2, m/s^2]."""
+        return self.motion[:, 1]
+
+
+Reference = Callable[[float], Sample]
+
+
+def constant(value: float) -> Scalar:
+    return lambda t: (value, 0.0, 0.0)
+
+
+def ramp(rate: float, start: float = 0.0) -> Scalar:
+    return lambda t: (start + rate * t, rate, 0.0)
+
+
+def sine(amplitude: float, period: float, phase: float = 0.0, centre: float = 0.0, ease: float = 0.0) -> Scalar:
+    """centre + amplitude sin(2 pi tau / period + phase), with tau(t) easing in from rest over `ease` [s]."""
+    omega = 2 * math.pi / period
+
+    def sample(t: float) -> tuple[float, float, float]:
+        tau, rate, bend = _ease(t, ease)
+        angle = omega * tau + phase
+        s, c = amplitude * math.sin(angle), amplitude * omega * math.cos(angle)
+        return centre + s, c * rate, -omega * omega * s * rate * rate + c * bend
+
+    return sample
+
+
+def _ease(t: float, over: float) -> tuple[float, float, float]:
+    """Path time and its derivatives: its rate rises as a quintic from 0 to 1."""
+    if t >= over:
+        return t - over / 2, 1.0, 0.0
+    u = max(t / over, 0.0)
+    return over * u**4 * (2.5 - 3 * u + u * u), u**3 * (10 - 15 * u + 6 * u * u), 30 * (u * (1 - u)) ** 2 / over
+
+
+def quintic(times: Sequence[float], values: Sequence[float]) -> Scalar:
+    """Rest to rest through `values` at `times`, a quintic between neighbours (book 9.2.2)."""
+    times, values = [float(t) for t in times], [float(v) for v in values]
+
+    def sample(t: float) -> tuple[float, float, float]:
+        i = bisect_right(times, t) - 1
+        if i < 0:
+            return values[0], 0.0, 0.0
+        if i >= len(times) - 1:
+            return values[-1], 0.0, 0.0
+        T, d = times[i + 1] - times[i], values[i + 1] - values[i]
+        u = (t - times[i]) / T
+        return (
+            values[i] + d * u**3 * (10 - 15 * u + 6 * u * u),
+            d * 30 * (u * (1 - u)) ** 2 / T,
+            d * 60 * u * (1 - u) * (1 - 2 * u) / T**2,
+        )
+
+    return sample
+
+
+_ROTATIONS = (2, 1, 0)  # about z, then y, then x
+
+
+class Path:
+    """Motion along the axes of a fixed pose `origin`: `along[i]` moves axis i of (wx, wy, wz, vx, vy, vz).
+
+    `offset` is a constant pose applied last, so that a frame may keep its own orientation against `origin`.
+    """
+
+    def __init__(self, origin: pin.SE3, along: Mapping[int, Scalar], offset: pin.SE3 | None = None) -> None:
+        self.origin, self.along = origin.copy(), dict(along)
+        self.offset = offset
+        self._R, self._p = origin.rotation.copy(), origin.translation.copy()
+        self._turns = [(i, self.along[i]) for i in _ROTATIONS if i in self.along]
+        still = (0.0, 0.0, 0.0)
+        self._shifts = [self.along.get(i, lambda t: still) for i in (3, 4, 5)]
+
+    def __call__(self, t: float) -> Sample:
+        x, y, z = (shift(t) for shift in self._shifts)
+        d = np.array((x, y, z))  # rows: axes; columns: position, velocity, acceleration
+        R, p = self._R, self._R.dot(d[:, 0]) + self._p
+        motion = np.zeros((6, 2))
+        motion[3:] = d[:, 1:]
+        for axis, turn in self._turns:
+            s, rate, bend = turn(t)
+            if s == 0.0 and rate == 0.0 and bend == 0.0:
+                continue
+            R = R @ self._turn(axis, s, rate, bend, motion)
+        T = pin.SE3(R, p)
+        return Sample(T, motion) if self.offset is None else _offset(T, motion, self.offset)
+
+    @staticmethod
+    def _turn(axis: int, s: float, rate: float, bend: float, motion: Array) -> Array:
+        """Move `motion` into the turned axes and add the turn: V' = Ad V + S sdot, Vdot' = Ad Vdot - ad_S Ad V sdot + S sddot."""
+        unit = np.eye(3)[axis]
+        step = pin.exp3(s * unit)
+        motion[:3], motion[3:] = step.T @ motion[:3], step.T @ motion[3:]
+        motion[:3, 1] -= rate * np.cross(unit, motion[:3, 0])
+        motion[3:, 1] -= rate * np.cross(unit, motion[3:, 0])
+        motion[axis, 0] += rate
+        motion[axis, 1] += bend
+        return step
+
+
+def _offset(T: pin.SE3, motion: Array, offset: pin.SE3) -> Sample:
+    X = offset.inverse().toActionMatrix()[np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))]
+    return Sample(T * offset, X @ motion)
+
+
+class ScrewPath:
+    """Motion along one screw (6,) of a fixed pose `origin`: T_d = origin exp([S] s(t)) start, start the pose at s = 0."""
+
+    def __init__(self, origin: pin.SE3, screw: Array, scalar: Scalar, start: pin.SE3) -> None:
+        self._origin, self._screw, self._scalar = origin.copy(), np.array(screw, float), scalar
+        self._start = start.copy()
+        X = start.inverse().toActionMatrix()[np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))]
+        self._body = X @ self._screw
+
+    def __call__(self, t: float) -> Sample:
+        s, rate, bend = self._scalar(t)
+        S = pin.Motion(self._screw[3:] * s, self._screw[:3] * s)
+        return Sample(self._origin * pin.exp6(S) * self._start, np.outer(self._body, (rate, bend)))
+
+
+def hold(T: pin.SE3) -> Reference:
+    """Stay at a pose."""
+    sample = Sample(T.copy(), np.zeros((6, 2)))
+    return lambda t: sample

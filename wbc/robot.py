@@ -1,0 +1,221 @@
+"""The robot as the controller sees it: names, limits, and a `State` that is computed once a tick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg import lapack
+
+from . import model as models
+from .errors import ModelError, NameNotFound
+from .qp import Array
+
+_ANGULAR_FIRST = np.array([3, 4, 5, 0, 1, 2])
+_NO_ROWS: tuple[Array, Array] = (np.zeros((0, 0)), np.zeros((0, 0)))
+
+
+class Frame(NamedTuple):
+    """One frame of the robot at this tick; twists and wrenches are body quantities, angular part first."""
+
+    T: pin.SE3  # pose in the world
+    V: Array  # (6,) body twist [rad/s, m/s]
+    J: Array  # (6, nv) body Jacobian, V = J v
+    drift: Array  # (6,) Jdot v, so that Vdot = J vdot + drift
+
+
+class State:
+    """Everything about the robot that a tick may read, computed once: M vdot + h = tau - J' F.
+
+    Attributes: t [s], dt [s], q (nq,), v (nv,), M (nv, nv), h (nv,) with Coriolis, centrifugal, gravity and joint
+    damping. `frame(name)` is a `Frame`. `contacts`, `measured`, `targets` and `loops` are filled by the controller:
+    what the contacts demand, the wrenches measured (6,), the targets set from outside, and the force loops' memory;
+    `primary` is (G, W), all rows of contacts and motion tasks with their inertia, which the posture stays out of. Valid until the next state is computed from the same `data`.
+    """
+
+    __slots__ = ("robot", "data", "t", "dt", "q", "v", "M", "h", "contacts", "measured", "targets", "loops", "primary", "_frames", "_L")
+
+    def __init__(self, robot: Robot, data: Any, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> None:
+        self.robot, self.data, self.t, self.dt, self.q, self.v = robot, data, t, dt, q, v
+        pin.computeAllTerms(robot.model, data, q, v)
+        self.M: Array = data.M
+        self.h: Array = data.nle if robot.damping is None else data.nle + robot.damping * v
+        self.contacts: dict[str, Any] = {}
+        self.measured: dict[str, Array] = {}
+        self.targets: dict[str, float] = {}
+        self.loops: dict[str, Any] = {}
+        self.primary: tuple[Array, Array] = _NO_ROWS
+        self._frames: dict[str, Frame] = {}
+        self._L: Array | None = None
+
+    def frame(self, name: str) -> Frame:
+        """The frame of that name. Raises NameNotFound."""
+        found = self._frames.get(name)
+        if found is None:
+            model, data, index = self.robot.model, self.data, self.robot.frame_id(name)
+            T = pin.updateFramePlacement(model, data, index)
+            J = pin.getFrameJacobian(model, data, index, pin.LOCAL)[_ANGULAR_FIRST]
+            a = pin.getFrameAcceleration(model, data, index, pin.LOCAL).vector
+            # computeAllTerms leaves the accelerations at vdot = 0 in data.a: they are the drift
+            found = self._frames[name] = Frame(T, J.dot(self.v), J, a[_ANGULAR_FIRST])
+        return found
+
+    def solve_M(self, B: Array) -> Array:
+        """M^-1 B by Cholesky, factored once a tick."""
+        if self._L is None:
+            self._L = lapack.dpotrf(self.M, lower=1)[0]
+        return lapack.dpotrs(self._L, B, lower=1)[0]
+
+    def gravity(self) -> Array:
+        """(nv,) g(q) [N m]."""
+        return pin.computeGeneralizedGravity(self.robot.model, self.data, self.q)
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot's model, names and limits. Make one with `load` or `from_pinocchio`.
+
+    `gravity`: who adds g(q) to the torque, "controller" (this package) or "robot" (its driver; limits hold for the sum).
+    Limits are (nv,): tau [N m], q [rad or m], v [rad/s or m/s], infinite where the model states none.
+    """
+
+    name: str
+    model: pin.Model
+    joints: tuple[str, ...]
+    tau_min: Array
+    tau_max: Array
+    q_min: Array
+    q_max: Array
+    v_max: Array
+    keyframes: dict[str, Array] = field(default_factory=dict)
+    gravity: str = "controller"
+    damping: Array | None = None  # (nv,) [N m s/rad]
+    mujoco: Any = None  # the compiled MjModel, where there is one
+    model_error: float = 0.0  # worst disagreement of MuJoCo and Pinocchio at load
+    has_scene: bool = False
+
+    def __post_init__(self) -> None:
+        if self.gravity not in ("controller", "robot"):
+            raise ModelError(f"gravity: expected 'controller' or 'robot' (who adds it), got {self.gravity!r}")
+        object.__setattr__(self, "_ids", {frame.name: i for i, frame in enumerate(self.model.frames)})
+
+    @classmethod
+    def load(cls, robot: str, tool: str | None = None, scene: str | None = None, gravity: str = "controller") -> Robot:
+        """A robot with its tool, in its scene, from shipped names, paths or `erd:NAME`.
+
+        Raises ModelError for files that cannot be used, ModelMismatch when MuJoCo and Pinocchio disagree.
+        """
+        spec, keys = models.compose(robot, tool, scene)
+        mj = models.compile_model(spec)
+        model = models.pinocchio_model(mj)
+        error = models.require_agreement(mj, model)
+        low, high = models.torque_limits(mj)
+        limited = mj.jnt_limited.astype(bool)
+        keyframes = {"home": mj.qpos0} | {name: qpos for name, qpos in keys.items() if qpos.size == mj.nq}
+        damping = np.array([np.ravel(d)[0] for d in mj.dof_damping]) if mj.nv else np.zeros(0)
+        return cls(
+            name=str(robot),
+            model=model,
+            joints=tuple(model.names)[1:],
+            tau_min=low,
+            tau_max=high,
+            q_min=np.where(limited, mj.jnt_range[:, 0], -np.inf),
+            q_max=np.where(limited, mj.jnt_range[:, 1], np.inf),
+            v_max=_velocity_limits(mj),
+            keyframes={name: models.to_pinocchio(mj, qpos, np.zeros(mj.nv))[0] for name, qpos in keyframes.items()},
+            gravity=gravity,
+            damping=damping if damping.any() else None,
+            mujoco=mj,
+            model_error=error,
+            has_scene=scene is not None,
+        )
+
+    @classmethod
+    def from_pinocchio(cls, model: pin.Model, gravity: str = "controller") -> Robot:
+        """A robot from a Pinocchio model of one's own; limits are the model's."""
+        damping = np.array(model.damping) if np.any(model.damping) else None
+        return cls(
+            name=model.name,
+            model=model,
+            joints=tuple(model.names)[1:],
+            tau_min=np.array(model.lowerEffortLimit),
+            tau_max=np.array(model.upperEffortLimit),
+            q_min=np.array(model.lowerPositionLimit),
+            q_max=np.array(model.upperPositionLimit),
+            v_max=np.array(model.upperVelocityLimit),
+            keyframes={"home": pin.neutral(model)} | dict(model.referenceConfigurations.todict()),
+            gravity=gravity,
+            damping=damping,
+        )
+
+    @property
+    def nv(self) -> int:
+        return int(self.model.nv)
+
+    @property
+    def nq(self) -> int:
+        return int(self.model.nq)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        return tuple(self._ids)  # type: ignore[attr-defined]
+
+    def frame_id(self, name: str) -> int:
+        """Pinocchio's index of a frame. Raises NameNotFound: a missing index would crash Pinocchio later."""
+        index = self._ids.get(name)  # type: ignore[attr-defined]
+        if index is None:
+            raise NameNotFound("frame", name, self.frames)
+        return int(index)
+
+    def state(self, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> State:
+        """A `State` with storage of its own."""
+        return State(self, self.model.createData(), np.asarray(q, float), np.asarray(v, float), t, dt)
+
+    def fixed_pose(self, name: str) -> pin.SE3:
+        """World pose of a frame that does not move. Raises NameNotFound, or ModelError when the robot moves it."""
+        frame = self.model.frames[self.frame_id(name)]
+        if frame.parentJoint != 0:
+            raise ModelError(f"frame {name!r} moves with joint {self.model.names[frame.parentJoint]!r}; expected one fixed to the world")
+        return frame.placement.copy()
+
+    def inertia_below(self, frame_name: str) -> pin.Inertia:
+        """Inertia, in that frame, of everything that the body which carries `frame_name` holds up."""
+        frame = self.model.frames[self.frame_id(frame_name)]
+        mj = self.mujoco
+        if mj is None:
+            raise ModelError("the load below a sensor is read from the compiled model; this robot has none")
+        root = mj.site(frame_name).bodyid[0]
+        total = pin.Inertia.Zero()
+        for body in range(root, mj.nbody):
+            above = body
+            while above > root:
+                above = mj.body_parentid[above]
+            if above != root:
+                continue
+            if body != root and mj.body_jntnum[body]:
+                raise ModelError(f"a joint moves the load below sensor {frame_name!r}; expected a rigid tool")
+            joint_T_body = self.model.frames[self.frame_id(mj.body(body).name)].placement
+            at = models._pose(mj.body_ipos[body], mj.body_iquat[body])
+            own = pin.Inertia(mj.body_mass[body], np.zeros(3), np.diag(mj.body_inertia[body]))
+            total += (frame.placement.actInv(joint_T_body) * at).act(own)
+        return total
+
+    def axes(self, frame_name: str, states: int = 8) -> tuple[int, ...]:
+        """Indices of the body axes (wx .. vz) that the robot can ever move `frame_name` along: all six, or r < 6 of a planar arm."""
+        rng = np.random.default_rng(0)
+        reach = np.zeros(6)
+        for _ in range(states):
+            q = pin.integrate(self.model, self.keyframes["home"], rng.uniform(-1.5, 1.5, self.nv))
+            reach = np.maximum(reach, np.abs(self.state(q, np.zeros(self.nv)).frame(frame_name).J).max(axis=1))
+        return tuple(int(i) for i in np.flatnonzero(reach > 1e-9))
+
+
+def _velocity_limits(mj: Any) -> Array:
+    """(nv,) [rad/s]: a joint's first user number, where the model gives one."""
+    v_max = np.full(mj.nv, np.inf)
+    for joint in range(mj.njnt if mj.nuser_jnt else 0):
+        if mj.jnt_user[joint, 0] > 0:
+            v_max[mj.jnt_dofadr[joint]] = mj.jnt_user[joint, 0]
+    return v_max

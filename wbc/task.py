@@ -1,0 +1,236 @@
+"""Tasks: what the robot should do, each as rows over the unknowns `vdot` and the contacts' multipliers.
+
+A task is a class with `rows(state) -> Rows`; its residual is minimised with the weight given where it is placed. The
+metric of a motion task is the inertia M_C of its rows together with the contacts', that of a force task the inverse
+inertia: both costs are then a power over time (Gauss), so that weights are plain ratios, and the answer without active
+limits is the closed form of the book (11.6) for every weight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from .analytic import gain_matrix
+from .contact import Contact, Held
+from .dynamics import inertia, mobility
+from .errors import GainError
+from .qp import Array, Rows
+from .reference import Reference, Sample
+from .robot import Frame, State
+from .wrench import VELOCITY_AXES
+
+_ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))
+_ORDER = np.array([3, 4, 5, 0, 1, 2])
+_NOTHING: Array = np.zeros(0)
+
+
+class Task(Protocol):
+    """What the controller asks of a task."""
+
+    def rows(self, state: State) -> Rows: ...
+
+
+def computed_torque(frame: Frame, desired: Sample, Kp: Array, Kd: Array) -> Array:
+    """(6,) y = d/dt(Ad V_d) + Kp X_e + Kd V_e in the axes of the frame (book 11.37), [rad/s^2, m/s^2]."""
+    X = frame.T.actInv(desired.T)
+    moved = X.toActionMatrix()[_ANGULAR_FIRST].dot(desired.motion)
+    V_d, y = moved[:, 0], moved[:, 1]
+    w0, w1, w2, v0, v1, v2 = frame.V.tolist()
+    a0, a1, a2, b0, b1, b2 = V_d.tolist()
+    y -= (  # ad_V (Ad V_d)
+        w1 * a2 - w2 * a1, w2 * a0 - w0 * a2, w0 * a1 - w1 * a0,
+        v1 * a2 - v2 * a1 + w1 * b2 - w2 * b1, v2 * a0 - v0 * a2 + w2 * b0 - w0 * b2, v0 * a1 - v1 * a0 + w0 * b1 - w1 * b0,
+    )  # fmt: skip
+    y += Kp.dot(pin.log6(X).vector[_ORDER])
+    y += Kd.dot(V_d - frame.V)
+    return y
+
+
+class MotionTask:
+    """SE(3) motion of a frame by computed torque, on selected axes.
+
+    Parameters: `frame`; `reference` (t -> Sample); `kp` [1/s^2], `kd` [1/s]: numbers, vectors over the axes or
+    matrices; `axes`: names from wx ... vz, or with `contact` the free motion of that contact. `law="book"` tracks the
+    raw y on all axes that the robot has, in the metric M_C, as the book prints it; otherwise y is only asked of the
+    free axes, where the constraint says A y = -Adot V.
+    """
+
+    def __init__(
+        self,
+        frame: str,
+        reference: Reference,
+        kp: Any = 100.0,
+        kd: Any = 20.0,
+        axes: tuple[str, ...] = VELOCITY_AXES,
+        contact: str | None = None,
+        law: str = "compensated",
+        robot_axes: tuple[int, ...] = (0, 1, 2, 3, 4, 5),
+    ) -> None:
+        self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
+        self.raw = law == "book" and contact is not None  # tracks the raw y of the book on all axes
+        self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
+        self._robot_axes = list(robot_axes)
+        self._Kp, self._Kd = (self._lift(K, name) for K, name in ((kp, "kp"), (kd, "kd")))
+
+    def _lift(self, K: Any, name: str) -> Array:
+        """Gains over the selected axes as a (6, 6) matrix; a number also holds the other axes, as in the book."""
+        if np.ndim(K) == 0:
+            return gain_matrix(K, 6, name)
+        small = gain_matrix(K, len(self.axes), name)
+        if self._S is None and not set(self.axes) <= set(VELOCITY_AXES):
+            raise GainError(f"{name}: a vector or matrix needs axes with names, expected a number for the free motion of screws")
+        S = np.eye(6)[[VELOCITY_AXES.index(a) for a in self.axes]]
+        return S.T @ small @ S
+
+    def target(self, state: State) -> tuple[Array, Array]:
+        """The task's own rows G vdot = b: (s, nv) and (s,)."""
+        frame = state.frame(self.frame)
+        y = computed_torque(frame, self.reference(state.t), self._Kp, self._Kd)
+        y -= frame.drift
+        if self.raw:
+            return frame.J[self._robot_axes], y[self._robot_axes]
+        S = self._S if self._S is not None else state.contacts[self.contact].free
+        return S.dot(frame.J), S.dot(y)
+
+    def rows(self, state: State) -> Rows:
+        G, b = self.target(state)
+        if not self.raw and state.contacts:
+            # the contacts' rows hold anyway; with them the metric is the inertia that the constrained robot shows
+            G = np.concatenate([held.G for held in state.contacts.values()] + [G])
+            b = np.concatenate([held.rhs for held in state.contacts.values()] + [b])
+        return Rows("", {"vdot": G}, b, b, inertia(mobility(state, G)))
+
+
+class ForceLoop(NamedTuple):
+    """One force loop at a tick; `filtered` (6,) and `integral` are its memory.
+
+    `error` and `integral` are over the multipliers (k,) or, under the book's law, over the whole wrench (6,).
+    """
+
+    filtered: Array | None = None
+    integral: Array = _NOTHING  # [N s, N m s]
+    error: Array = _NOTHING
+    command: Array = _NOTHING  # (k,) the multipliers asked for
+
+
+class ForceTask:
+    """Force control on a contact: lambda = lambda_d + Kp e + Ki int e - K_damp A V (book 11.36, multipliers).
+
+    Parameters: `contact` and its object; `target` t -> lambda_d (k,) [N, N m] or an array; `kp`, `ki` [1/s], `damping`
+    [N s/m, N m s/rad] over the contact's axes; `filter`: cutoff of the measured wrench [Hz] or None; `integral_limit`
+    on Ki int e [N, N m]. The error is that of the constrained axes alone, e = lambda_d - (A')^+ F. `law="book"`
+    projects the whole measured F_e by I - P, and leaves the bias Lam Adot V in the force.
+    """
+
+    def __init__(
+        self,
+        contact: str,
+        held_by: Contact,
+        target: Array | Callable[[float], Array],
+        kp: Any = 0.0,
+        ki: Any = 0.0,
+        damping: Any = 0.0,
+        filter: float | None = None,
+        integral_limit: float = math.inf,
+        law: str = "compensated",
+    ) -> None:
+        self.contact, self.law, self._held_by = contact, law, held_by
+        fixed = np.array(target, float) if not callable(target) else None
+        self.target: Callable[[float], Array] = (lambda t: fixed) if fixed is not None else target  # type: ignore[assignment,return-value]
+        k = held_by.k
+        self._book = law == "book"
+        self.Kp, self.Ki = (self._gain(K, k, name) for K, name in ((kp, "kp"), (ki, "ki")))
+        self.K_damp = gain_matrix(damping, k, "damping")
+        self.filter, self.integral_limit = filter, integral_limit
+        self.axes = held_by.axes
+
+    def _gain(self, K: Any, k: int, name: str) -> Array:
+        if not self._book:
+            return gain_matrix(K, k, name)
+        if np.ndim(K) == 0 or len(K) == 6:
+            return gain_matrix(K, 6, name)
+        raise GainError(f"{name}: under law: book the gains act on the whole wrench; expected a number or 6 of them, got {len(K)}")
+
+    def smoothing(self, dt: float) -> float:
+        """alpha of the first-order filter s += alpha (F - s)."""
+        return 1.0 if self.filter is None else 1.0 - math.exp(-2.0 * math.pi * self.filter * dt)
+
+    def desired(self, state: State) -> Array:
+        """(k,) lambda_d, with what `targets` overrides."""
+        lam = self.target(state.t)
+        if state.targets:
+            lam = lam.copy()
+            for i, axis in enumerate(self.axes):
+                lam[i] = state.targets.get(f"{self.contact}.{axis}", lam[i])
+        return lam
+
+    def sense(self, state: State, desired: Array) -> ForceLoop:
+        """Filter the measured wrench and take the error; without a sensor the loop is open (book 11.33)."""
+        held: Held = state.contacts[self.contact]
+        loop, measured = state.loops[self.contact], state.measured.get(self.contact)
+        size = 6 if self._book else desired.size
+        integral = loop.integral if loop.integral.size == size else np.zeros(size)
+        if measured is None:
+            return ForceLoop(loop.filtered, integral, np.zeros(size))
+        filtered = loop.filtered
+        filtered = measured if filtered is None else filtered + self.smoothing(state.dt) * (measured - filtered)
+        error = held.A.T.dot(desired) - filtered if self._book else desired - held.inverse.dot(filtered)
+        return ForceLoop(filtered, integral, error)
+
+    def rows(self, state: State) -> Rows:
+        held: Held = state.contacts[self.contact]
+        command = self.desired(state)
+        loop = self.sense(state, command)
+        feedback = self.Kp.dot(loop.error) + self.Ki.dot(loop.integral)
+        metric = mobility(state, held.G)
+        if self._book:
+            # (I - P) F = A' Lam A M_C^-1 F, and A M_C^-1 F = G M^-1 J' F; the constraint adds Lam Adot V of its own
+            push = held.G.dot(state.solve_M(state.frame(held.frame).J.T.dot(feedback))) + held.Adot_V
+            command = command + inertia(metric).dot(push)
+        else:
+            command = command + feedback
+        command -= self.K_damp.dot(held.slip)
+        state.loops[self.contact] = loop._replace(command=command)
+        return Rows("", {self.contact: None}, command, command, metric)
+
+    def advance(self, state: State, lam: Array) -> ForceLoop:
+        """The memory for the next tick; the integral waits on axes where a limit keeps the force from its command."""
+        loop: ForceLoop = state.loops[self.contact]
+        step = state.dt * loop.error
+        short = loop.command - lam
+        if not self._book and np.abs(short).max(initial=0.0) > 1e-6 * (1.0 + np.abs(loop.command).max(initial=0.0)):
+            step = np.where(short * step > 0.0, 0.0, step)
+        integral = loop.integral + step
+        if self.integral_limit < math.inf:
+            bound = self.integral_limit / np.maximum(self.Ki.diagonal(), 1e-12)
+            integral = np.clip(integral, -bound, bound)
+        return loop._replace(integral=integral)
+
+
+class PostureTask:
+    """Joint posture in the null space: vdot_p = kp (q_d - q) - kd v.
+
+    Its metric is N'M N = M - G' (G M^-1 G')^-1 G, with G all rows of contacts and motion tasks: it cannot disturb
+    them, whatever its weight (Khatib's dynamically consistent null space).
+    """
+
+    def __init__(self, q: Array, kp: Any = 50.0, kd: Any = 10.0, robot_nv: int | None = None) -> None:
+        self.q = np.array(q, float)
+        n = robot_nv or self.q.size
+        self._Kp, self._Kd = gain_matrix(kp, n, "kp"), gain_matrix(kd, n, "kd")
+
+    def acceleration(self, state: State) -> Array:
+        """(nv,) vdot_p [rad/s^2]."""
+        model = state.robot.model
+        error = self.q - state.q if model.nq == model.nv else pin.difference(model, state.q, self.q)
+        return self._Kp.dot(error) - self._Kd.dot(state.v)
+
+    def rows(self, state: State) -> Rows:
+        G, W = state.primary
+        vdot = self.acceleration(state)
+        return Rows("", {"vdot": None}, vdot, vdot, state.M - G.T.dot(W.dot(G)))

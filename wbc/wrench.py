@@ -1,0 +1,73 @@
+"""Wrenches with their sign and frame said, and the wrist sensor that measures them through the weight of a tool."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from .errors import WrenchError
+from .qp import Array
+from .robot import Robot, State
+
+VELOCITY_AXES = ("wx", "wy", "wz", "vx", "vy", "vz")
+WRENCH_AXES = ("mx", "my", "mz", "fx", "fy", "fz")
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """A measured wrench, kept as F = (m, f) of the robot on its environment, in the axes and at the origin of `frame`.
+
+    Use `on_robot` for what most sensors and drivers report, `on_environment` for the book's F_tip.
+    """
+
+    F: Array  # (6,) [N m, N]
+    frame: str
+
+    @classmethod
+    def on_environment(cls, f: Array, m: Array, frame: str) -> Wrench:
+        """Force f [N] and moment m [N m] that the robot applies to the environment."""
+        F = np.concatenate((np.asarray(m, float).reshape(-1), np.asarray(f, float).reshape(-1)))
+        if F.shape != (6,):
+            raise WrenchError(f"a wrench needs three forces and three moments, got {np.shape(f)} and {np.shape(m)}")
+        return cls(F, frame)
+
+    @classmethod
+    def on_robot(cls, f: Array, m: Array, frame: str) -> Wrench:
+        """Force f [N] and moment m [N m] that the environment applies to the robot."""
+        return cls.on_environment(-np.asarray(f, float), -np.asarray(m, float), frame)
+
+    def at(self, state: State, frame: str) -> Array:
+        """(6,) the same wrench in the axes and at the origin of another frame: F_b = Ad_{T_ab}' F_a."""
+        if frame == self.frame:
+            return self.F
+        T = state.frame(self.frame).T.actInv(state.frame(frame).T)  # the other frame, seen from ours
+        m, f = T.rotation.T @ (self.F[:3] - np.cross(T.translation, self.F[3:])), T.rotation.T @ self.F[3:]
+        return np.concatenate((m, f))
+
+
+class ForceSensor:
+    """A six-axis sensor at `frame` between the robot and everything that hangs below it (the tool).
+
+    It reads what the robot applies to the tool; the tool's weight and inertia are taken off, so that what remains is
+    what the tool applies to the environment:  F = F_read - (I (a - a_g) + V x* I V).
+    """
+
+    def __init__(self, robot: Robot, frame: str = "wrist_sensor") -> None:
+        self.frame = frame
+        self._inertia = robot.inertia_below(frame)
+        self._gravity = pin.Motion(robot.model.gravity.vector)
+
+    def compensated(self, reading: Array, state: State, vdot: Array) -> Wrench:
+        """The wrench of the tool on the environment, at the sensor.
+
+        Parameters: `reading` (6,) = (m, f) of the robot on the tool in the sensor's axes, the state at the time of the
+        reading, `vdot` (nv,) the acceleration at that time [rad/s^2].
+        """
+        frame = state.frame(self.frame)
+        a, V = frame.J @ vdot + frame.drift, frame.V
+        spatial = pin.Motion(a[3:], a[:3]) - frame.T.actInv(self._gravity)
+        motion = pin.Motion(V[3:], V[:3])
+        load = self._inertia * spatial + motion.cross(self._inertia * motion)
+        return Wrench(reading - np.concatenate((load.angular, load.linear)), self.frame)
