@@ -21,16 +21,20 @@ from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 
 class Held(NamedTuple):
-    """What a contact demands at this tick: G vdot = rhs, with G = A J and rhs = -(A Jdot v + Adot V)."""
+    """What a contact demands at this tick: G vdot = rhs, with G = A J and rhs = -(A Jdot v + Adot V).
+
+    `table` (6, nv + 2) are the contact's rows A, then its free rows, times J, Jdot v and V of the frame.
+    """
 
     frame: str
     A: Array  # (k, 6)
-    Adot_V: Array  # (k,)
+    Adot_V: Array | None  # (k,), None where it is always zero
+    free: Array  # (6 - k, 6) rows that pick the free motion
+    inverse: Array  # (k, 6) (A')^+, multipliers of a wrench
+    table: Array
     G: Array  # (k, nv)
     rhs: Array  # (k,)
     slip: Array  # (k,) A V, zero while the contact holds
-    inverse: Array  # (k, 6) (A')^+, multipliers of a wrench
-    free: Array  # (6 - k, 6) rows that pick the free motion
 
 
 class Contact(ABC):
@@ -65,15 +69,24 @@ class Contact(ABC):
 
     def hold(self, state: State) -> Held:
         """Evaluate at a state."""
-        frame, A, Adot_V = state.frame(self.frame), self.A(state), self.Adot_V(state)
-        rhs = -(A.dot(frame.drift) + Adot_V)
-        inverse, free = self.pseudo_inverse(A), self.free(state)
-        return Held(self.frame, A, Adot_V, A.dot(frame.J), rhs, A.dot(frame.V), inverse, free)
+        A, free = self.A(state), self.free(state)
+        return self._hold(state, A, free, self.pseudo_inverse(A), np.concatenate((A, free)), self.Adot_V(state))
+
+    def _hold(self, state: State, A: Array, free: Array, inverse: Array, basis: Array, Adot_V: Array | None) -> Held:
+        n, k = state.v.size, self.k
+        table = basis.dot(state.frame(self.frame).table)
+        rhs = -table[:k, n]
+        if Adot_V is not None:
+            rhs -= Adot_V
+        return Held(self.frame, A, Adot_V, free, inverse, table, table[:k, :n], rhs, table[:k, n + 1])
 
     def rows(self, name: str, held: Held) -> Rows:
         """The hard rows A (J vdot + Jdot v) = -Adot V."""
-        labels = tuple(f"{name}.{axis}" for axis in self.axes)
-        return Rows(name, {"vdot": held.G}, held.rhs, held.rhs, labels=labels)
+        return Rows(name, {"vdot": held.G}, held.rhs, held.rhs)
+
+    def labels(self, name: str) -> tuple[str, ...]:
+        """Names of its rows and multipliers."""
+        return tuple(f"{name}.{axis}" for axis in self.axes)
 
     def multipliers(self, wrench: Array, state: State, tolerance: float = 1e-9) -> Array:
         """(k,) lambda with A' lambda = wrench (6,). Raises WrenchError when the contact cannot carry it."""
@@ -103,9 +116,15 @@ class MatrixContact(Contact):
         self.k = self._A.shape[0]
         if self.k and np.linalg.matrix_rank(self._A) < self.k:
             raise WrenchError(f"the {self.k} rows of A are not independent (rank {np.linalg.matrix_rank(self._A)})")
-        self._free = complement(self._A)
         self._inverse = np.linalg.pinv(self._A).T if self.k else self._A
         self._zero = np.zeros(self.k)
+        self._set_free(complement(self._A))
+
+    def _set_free(self, free: Array) -> None:
+        self._free, self._basis = free, np.concatenate((self._A, free))
+
+    def hold(self, state: State) -> Held:
+        return self._hold(state, self._A, self._free, self._inverse, self._basis, None)
 
     def A(self, state: State) -> Array:
         return self._A
@@ -130,7 +149,7 @@ class AxesContact(MatrixContact):
         free = tuple(a for a in VELOCITY_AXES if a not in held) if free is None else free
         self._held_axes, self._free_axes = held, free
         super().__init__(frame, np.eye(6)[[VELOCITY_AXES.index(a) for a in held]])
-        self._free = np.eye(6)[[VELOCITY_AXES.index(a) for a in free]]
+        self._set_free(np.eye(6)[[VELOCITY_AXES.index(a) for a in free]])
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -150,6 +169,8 @@ class WorldAxesContact(AxesContact):
     def __init__(self, frame: str, held: tuple[str, ...], R: Array, free: tuple[str, ...] | None = None) -> None:
         super().__init__(frame, held, free)
         self._R = np.array(R, float)
+
+    hold = Contact.hold  # its rows turn with the frame
 
     def _turned(self, rows: Array, state: State) -> Array:
         X, R = np.zeros((6, 6)), self._R.T @ state.frame(self.frame).T.rotation

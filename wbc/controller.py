@@ -10,12 +10,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .contact import Contact
-from .dynamics import TorqueMap, inertia, mobility, torque_map
+from .dynamics import inertia, mobility, torque_map
 from .errors import GainError, NameNotFound, SpecError, StateError, did_you_mean
 from .limit import JointLimit, TorqueLimit, braking
 from .qp import UNCERTIFIED, Array, Certificate, Rows, Variables, Workspace
@@ -24,6 +25,7 @@ from .solver import DEFAULT, Solution, Solver, answer, make
 from .task import ForceLoop, ForceTask, MotionTask, PostureTask, Task
 from .wrench import VELOCITY_AXES, Wrench
 
+_NEW_LOOP = ForceLoop()
 HOLD_TICKS = 5  # ticks without a certified answer before the safe hold
 GOOD_TICKS = 10  # certified ticks in a row until the status is OK again
 MISSED_DEGRADED, MISSED_STOPPED = 3, 20
@@ -63,9 +65,9 @@ class Memory(NamedTuple):
     gravity: Array = np.zeros(0)  # g(q) of the last tick [N m]
     q: Array = np.zeros(0)
     v: Array = np.zeros(0)
-    lam: tuple[tuple[str, Array], ...] = ()  # last certified multipliers
-    loops: tuple[tuple[str, ForceLoop], ...] = ()
-    targets: tuple[tuple[str, float], ...] = ()
+    lam: Mapping[str, Array] = MappingProxyType({})  # last certified multipliers
+    loops: Mapping[str, ForceLoop] = MappingProxyType({})
+    targets: Mapping[str, float] = MappingProxyType({})
     status: Status = Status.OK
     bad: int = 0
     good: int = GOOD_TICKS
@@ -94,25 +96,22 @@ class _Structure:
         self.posture = {n: t for n, t in phase.tasks.items() if isinstance(t, PostureTask)}
         known = (MotionTask, ForceTask, PostureTask)
         self.other = {n: t for n, t in phase.tasks.items() if not isinstance(t, known)}
+        self.above = self.motion | self.other  # what the posture stays out of
         # the motion rows hold the contacts' too, so with exactly one task they are all there is above the posture
-        self.single = next(iter(self.motion)) if len(self.motion) == 1 and not self.other else None
-        if self.single and phase.contacts and self.motion[self.single].contact is None:
-            self.single = self.single if not self.motion[self.single].raw else None
+        self.single = len(self.motion) == 1 and not self.other
+        if self.single and next(iter(self.motion.values())).raw:
+            self.single = len(phase.contacts) == 1
         hold(state, phase)
         sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
-        hard = [contact.rows(name, state.contacts[name]) for name, contact in phase.contacts.items()]
-        bounds = phase.torque.bounds(state.h, state.dt)
-        torque = torque_map(state).rows("torque", *bounds, labels=tuple(f"torque[{j}]" for j in phase.torque.joints))
-        self.strict = Workspace(Variables(sizes), [*hard, torque, *self.joint_rows(state)])
+        hard = [c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in phase.contacts.items()]
+        hard.append(torque_map(state).rows(phase.torque.low, phase.torque.high, phase.torque.labels))
+        joint = phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
+        self.strict = Workspace(Variables(sizes), [*hard, joint] if joint else hard)
         # the same with joint viability allowed to yield, for ticks that have no answer otherwise
         self.yielding = None
-        if phase.joint is not None:
-            rows = self.joint_rows(state)[0]
-            rows = rows._replace(A=rows.A | {"yield": None})
-            self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, torque, rows])
-
-    def joint_rows(self, state: State) -> list[Rows]:
-        return [self.phase.joint.rows(state.q, state.v, state.dt)] if self.phase.joint is not None else []
+        if joint is not None:
+            rows = joint._replace(A=joint.A | {"yield": None})
+            self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, rows])
 
 
 def hold(state: State, phase: Phase) -> None:
@@ -268,7 +267,7 @@ class Controller:
             stopped = missed >= MISSED_STOPPED or memory.status is Status.STOPPED
             return self._safe_hold(q, v, Status.STOPPED if stopped else Status.SAFE_HOLD, f"{missed} ticks missed" if missed else "")
         memory = self._advance_time(memory, t)
-        dt = self.dt if memory.t is None else min(max(t - memory.t, 0.0), 2 * self.dt)
+        dt = self.dt if memory.t is None else min(max(t - memory.t, 0.0), 2.0 * self.dt)
         state = self.state = State(self.robot, self._data, q, v, t - memory.start, dt)
         refused = self._read(state, memory, measured, targets)
         tau_last = memory.tau
@@ -278,10 +277,12 @@ class Controller:
             else:
                 tau_last = tau_applied + memory.gravity if self.robot.gravity == "robot" else tau_applied
         structure = self._phases[memory.phase]
-        solution, torque, joint, yielded = self._solve(structure, state, tau_last)
+        tau_last = structure.phase.torque.inside(tau_last)
+        bounds = structure.phase.torque.bounds(tau_last, self.dt)
+        solution, yielded = self._solve(structure, state, bounds)
         if not solution.accepted:
             return self._hold(solution.reason)
-        return self._accept(structure, state, solution, torque, joint, yielded, tau_last, memory, t, refused, missed)
+        return self._accept(structure, state, solution, yielded, tau_last, bounds, memory._replace(t=t), refused, missed)
 
     def _advance_time(self, memory: Memory, t: float) -> Memory:
         if memory.t is None:
@@ -295,8 +296,8 @@ class Controller:
         refused: list[str] = []
         phase = self._phases[memory.phase].phase
         hold(state, phase)
-        loops = dict(memory.loops)
-        state.loops = {name: loops.get(name, ForceLoop()) for name in phase.contacts}
+        loops = memory.loops
+        state.loops = {name: loops.get(name, _NEW_LOOP) for name in phase.contacts}
         for name, wrench in (measured or {}).items():
             if name not in phase.contacts:
                 refused.append(f"measured: no contact named {name!r}{did_you_mean(name, phase.contacts)}")
@@ -307,8 +308,9 @@ class Controller:
                 F = loops[name].filtered if name in loops else None
             if F is not None:
                 state.measured[name] = F
-        state.targets = dict(memory.targets)
+        state.targets = memory.targets  # type: ignore[assignment]
         if targets:
+            state.targets = dict(memory.targets)
             refused += self._retarget(state, phase, targets)
         return refused
 
@@ -328,108 +330,105 @@ class Controller:
                 state.targets[name] = float(value)
         return refused
 
-    def _solve(self, structure: _Structure, state: State, tau_last: Array) -> tuple[Solution, TorqueMap, Rows | None, bool]:
+    def _solve(self, structure: _Structure, state: State, bounds: tuple[Array, Array]) -> tuple[Solution, bool]:
+        """The certified answer, and whether joint viability had to yield for it."""
         phase, strict = structure.phase, structure.strict
         costs = self._costs(structure, state)
-        torque = torque_map(state)
-        low, high = phase.torque.bounds(tau_last, self.dt)
         hard = [contact.rows(name, state.contacts[name]) for name, contact in phase.contacts.items()]
-        hard.append(torque.rows("torque", low, high))
+        hard.append(torque_map(state).rows(*bounds))
         joint = phase.joint.rows(state.q, state.v, self.dt) if phase.joint is not None else None
-        fault = fill(strict, costs, [*hard, joint] if joint is not None else hard)
+        fault = fill(strict, costs, hard if joint is None else [*hard, joint])
         if fault:
-            return _refused(fault), torque, joint, False
+            return _refused(fault), False
         solution = answer(self._solver, strict.problem)
         if solution.accepted or joint is None or structure.yielding is None:
-            return solution, torque, joint, False
+            return solution, False
         # nothing satisfies all: joint viability yields, never dynamics, torque or its rate
         zero = np.zeros(self.robot.nv)
         spring = Rows("", {"yield": None}, zero, zero, np.diag(state.M.diagonal()))
         fill(structure.yielding, [*costs, (spring, 1e4)], [*hard, joint._replace(A={"vdot": None, "yield": None})])
-        return answer(self._second, structure.yielding.problem), torque, joint, True
+        return answer(self._second, structure.yielding.problem), True
 
     def _costs(self, structure: _Structure, state: State) -> list[tuple[Rows, float]]:
         weights = structure.phase.weights
-        costs = []
-        for name, task in (structure.motion | structure.other).items():
-            costs.append((task.rows(state), weights[name]))
-        if structure.single is not None:
-            rows = costs[0][0]
-            state.primary = (rows.A["vdot"], rows.metric)  # type: ignore[assignment]
-        else:
-            stack = [held.G for held in state.contacts.values()]
-            stack += [rows.A["vdot"] for rows, _ in costs if rows.A.get("vdot") is not None]  # type: ignore[misc]
-            G = np.concatenate(stack) if stack else np.zeros((0, self.robot.nv))
-            W = inertia(mobility(state, G)) if stack else np.zeros((0, 0))
-            state.primary = (G, W)
-            if not structure.motion:
-                # nothing else weighs the held directions; the constraint decides them, this makes H definite
-                G = np.concatenate(stack) if stack else G
-                rhs = np.concatenate([held.rhs for held in state.contacts.values()]) if stack else np.zeros(0)
-                if not structure.other and stack:
-                    costs.append((Rows("", {"vdot": G}, rhs, rhs, W), 1.0))
+        costs = [(task.rows(state), weights[name]) for name, task in structure.above.items()]
+        if not structure.single:
+            costs += self._stack(structure, state, [rows for rows, _ in costs])
         for name, posture in structure.posture.items():
             costs.append((posture.rows(state), weights[name]))
         for contact, held in state.contacts.items():
-            if held.A.shape[0] == 0:
-                continue
             if contact in structure.force:
                 name, force = structure.force[contact]
                 costs.append((force.rows(state), weights[name]))
-            else:
+            elif held.A.shape[0]:
                 zero = np.zeros(held.A.shape[0])
                 costs.append((Rows("", {contact: None}, zero, zero, mobility(state, held.G)), 1.0))
         return costs
 
+    def _stack(self, structure: _Structure, state: State, above: list[Rows]) -> list[tuple[Rows, float]]:
+        """All that the posture stays out of, where it is more than one motion task; a cost that keeps H definite."""
+        held = list(state.contacts.values())
+        stack = [h.G for h in held] + [rows.A["vdot"] for rows in above if rows.A.get("vdot") is not None]
+        if not stack:
+            state.primary = (np.zeros((0, self.robot.nv)), np.zeros((0, 0)), np.zeros((0, 0)))
+            return []
+        G = np.concatenate(stack)
+        K = mobility(state, G)
+        W = inertia(K)
+        state.primary = (G, W, K)
+        if above or not held:
+            return []
+        # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
+        rhs = np.concatenate([h.rhs for h in held])
+        return [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0)]
+
     def _accept(
-        self, structure: _Structure, state: State, solution: Solution, torque: TorqueMap, joint: Rows | None, yielded: bool,
-        tau_last: Array, memory: Memory, t: float, refused: list[str], missed: int,
+        self, structure: _Structure, state: State, solution: Solution, yielded: bool, tau_last: Array,
+        bounds: tuple[Array, Array], memory: Memory, refused: list[str], missed: int,
     ) -> Output:  # fmt: skip
-        phase, workspace = structure.phase, structure.yielding if yielded else structure.strict
+        workspace = structure.yielding if yielded else structure.strict
         assert workspace is not None
-        x = {name: solution.x[place] for name, place in workspace.variables.slices.items() if name != "yield"}
-        tau = torque.torque(x)
-        low, high = phase.torque.bounds(tau_last, self.dt)
-        np.maximum(tau, low, tau)  # the certificate's tolerance must not reach the motors
-        np.minimum(tau, high, tau)
-        wrenches, loops, lam = {}, dict(memory.loops), []
+        slices = workspace.variables.slices
+        tau = workspace.product("torque", solution.x)
+        tau += state.h
+        np.maximum(tau, bounds[0], tau)  # the certificate's tolerance must not reach the motors
+        np.minimum(tau, bounds[1], tau)
+        wrenches, loops, lam = {}, dict(memory.loops), {}
         for name, held in state.contacts.items():
-            wrenches[name] = held.A.T.dot(x[name])
-            lam.append((name, x[name].copy()))
+            lam[name] = solution.x[slices[name]]
+            wrenches[name] = lam[name].dot(held.A)
             if name in structure.force:
-                loops[name] = structure.force[name][1].advance(state, x[name])
-        active = self._active(structure, workspace, solution, state, tau_last)
-        reason = "; ".join(refused)
-        if yielded:
-            reason = "; ".join([*refused, "joint limits yield: nothing satisfies them with the torque limits"])
-        elif active and not refused:
-            reason = "at the limit: " + ", ".join(active)
-        good = memory.good + 1
-        status = Status.LIMITED if active or reason else Status.OK
+                loops[name] = structure.force[name][1].advance(state, lam[name])
+        found = workspace.active(solution.z)
+        active = self._names(structure.phase, workspace, solution.z, found, state, tau_last) if found else ()
+        status, reason, good = Status.OK, "", memory.good + 1
+        if active or refused or yielded:
+            status = Status.LIMITED
+            told = ["joint limits yield: nothing satisfies them within the torque limits"] if yielded else []
+            reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
         if good < GOOD_TICKS or missed >= MISSED_DEGRADED:
             status = Status.DEGRADED
-            reason = reason or (f"{missed} ticks missed" if missed else f"recovering, {good} of {GOOD_TICKS} good ticks")
-        gravity = state.gravity() if self.robot.gravity == "robot" else memory.gravity
+            reason = reason or (f"{missed} ticks missed" if missed else f"recovering: {good} of {GOOD_TICKS} good ticks")
+        by_robot = self.robot.gravity == "robot"
+        gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
-            t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q, state.v, tuple(lam),
-            tuple(loops.items()), tuple(state.targets.items()), status, 0, good,
+            memory.t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q, state.v, lam, loops,
+            state.targets, status, 0, good,
         )  # fmt: skip
-        sent = tau - gravity if self.robot.gravity == "robot" else tau.copy()
-        return Output(sent, x["vdot"].copy(), wrenches, active, status, reason, solution.certificate)
+        sent = tau - gravity if by_robot else tau.copy()
+        return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)
 
-    def _active(self, structure: _Structure, workspace: Workspace, solution: Solution, state: State, tau_last: Array) -> tuple[str, ...]:
-        found = workspace.active(solution.z)
-        if not found:
-            return ()
-        phase, names = structure.phase, []
-        upper = {label: z > 0 for label, z in zip(workspace.labels, solution.z, strict=True)}
-        torque = phase.torque.names(tau_last, self.dt, np.array([upper[f"torque[{j}]"] for j in phase.torque.joints]))
-        rename = dict(zip((f"torque[{j}]" for j in phase.torque.joints), torque, strict=True))
-        if phase.joint is not None:
-            sides = np.array([upper[label] for label in phase.joint.labels])
-            rename |= dict(zip(phase.joint.labels, phase.joint.names(state.q, sides), strict=True))
-        for label in found:
-            names.append(rename.get(label, label))
+    def _names(self, phase: Phase, workspace: Workspace, z: Array, found: list[int], state: State, tau_last: Array) -> tuple[str, ...]:
+        """Names of active rows, with which of two limits it is that binds."""
+        names = []
+        for i in found:
+            label = workspace.labels[i]
+            kind, _, joint = label[:-1].partition("[")
+            if kind == "torque":
+                label = phase.torque.name(self.robot.joints.index(joint), z[i] > 0.0, tau_last, self.dt)
+            elif kind == "joint" and phase.joint is not None:
+                label = phase.joint.name(self.robot.joints.index(joint), z[i] > 0.0, state.q)
+            names.append(label)
         return tuple(names)
 
     # --- without a certified answer ---
@@ -454,7 +453,7 @@ class Controller:
         state = State(self.robot, self._data, q, v, 0.0, self.dt)
         hold(state, structure.phase)
         tau = state.gravity() - HOLD_DAMPING * state.M.diagonal() * v
-        for name, lam in memory.lam:
+        for name, lam in memory.lam.items():
             if name in state.contacts:
                 tau = tau + state.contacts[name].G.T @ lam
         low, high = structure.phase.torque.bounds(memory.tau, self.dt)

@@ -5,31 +5,28 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from .qp import Array, Rows
 from .robot import State
 
 
 class TorqueMap(NamedTuple):
-    """tau = sum_k A[k] x[k] + b over the named unknowns."""
+    """tau = sum_k A[k] x[k] + b over the named unknowns.
+
+    Its rows stand in every problem, so `Workspace.product("torque", x) + b` is the torque of an answer.
+    """
 
     A: dict[str, Array]
     b: Array  # (nv,) [N m]
 
-    def rows(self, name: str, low: Array, high: Array, labels: tuple[str, ...] = ()) -> Rows:
-        """low <= tau <= high."""
-        return Rows(name, self.A, low - self.b, high - self.b, labels=labels)
-
-    def torque(self, x: dict[str, Array]) -> Array:
-        """(nv,) the torque of an answer [N m]."""
-        tau = self.b.copy()
-        for name, A in self.A.items():
-            tau += A.dot(x[name])
-        return tau
+    def rows(self, low: Array, high: Array, labels: tuple[str, ...] = ()) -> Rows:
+        """low <= tau <= high [N m]."""
+        return Rows("torque", self.A, low - self.b, high - self.b, labels=labels)
 
 
 def torque_map(state: State) -> TorqueMap:
@@ -45,15 +42,21 @@ def mobility(state: State, G: Array) -> Array:
     return G.dot(state.solve_M(G.T))
 
 
+@lru_cache
+def _identity(m: int) -> Array:
+    return np.eye(m, order="F")
+
+
 def inertia(mobility_of_rows: Array) -> Array:
     """(m, m) inverse of a mobility: M_C of the rows (book 8.6). Directions that cannot move weigh nothing."""
     m = mobility_of_rows.shape[0]
     if m == 0:
         return mobility_of_rows
-    factor, info = lapack.dpotrf(mobility_of_rows, lower=1)
-    pivots = factor.diagonal()
-    if info == 0 and pivots.min() > 1e-7 * pivots.max():
-        return lapack.dpotrs(factor, np.eye(m), lower=1)[0]
+    factor, info = dpotrf(mobility_of_rows, lower=1)
+    if info == 0:
+        pivots = factor.diagonal().tolist()
+        if min(pivots) > 1e-7 * max(pivots):
+            return dpotrs(factor, _identity(m), lower=1)[0]
     # dependent rows (redundant contacts, a singular pose): invert what can move
     values, vectors = np.linalg.eigh(mobility_of_rows)
     keep = values > 1e-10 * values.max()

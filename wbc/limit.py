@@ -29,16 +29,23 @@ class TorqueLimit:
     joints: tuple[str, ...]
 
     def bounds(self, tau_last: Array, dt: float) -> tuple[Array, Array]:
-        """(nv,), (nv,) for this tick; never empty: a last torque outside its limits is led back at the rate."""
+        """(nv,), (nv,) for this tick; never empty, for `tau_last` lies within the limits (see `inside`)."""
         step = self.rate * dt
-        low, high = np.maximum(self.low, tau_last - step), np.minimum(self.high, tau_last + step)
-        return np.minimum(low, self.high), np.maximum(high, self.low)
+        return np.maximum(self.low, tau_last - step), np.minimum(self.high, tau_last + step)
 
-    def names(self, tau_last: Array, dt: float, upper: Array) -> list[str]:
-        """What bounds each joint: `torque[joint]` or `torque_rate[joint]`."""
-        step = self.rate * dt
-        rate = np.where(upper, tau_last + step < self.high, tau_last - step > self.low)
-        return [f"{'torque_rate' if r else 'torque'}[{joint}]" for r, joint in zip(rate, self.joints, strict=True)]
+    def inside(self, tau: Array) -> Array:
+        """A torque from outside, led into the limits."""
+        return np.minimum(np.maximum(tau, self.low), self.high)
+
+    def name(self, i: int, upper: bool, tau_last: Array, dt: float) -> str:
+        """What bounds joint i on that side: `torque[joint]` or `torque_rate[joint]`."""
+        step = self.rate[i] * dt
+        rate = tau_last[i] + step < self.high[i] if upper else tau_last[i] - step > self.low[i]
+        return f"{'torque_rate' if rate else 'torque'}[{self.joints[i]}]"
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(f"torque[{joint}]" for joint in self.joints)
 
 
 class JointLimit:
@@ -51,39 +58,46 @@ class JointLimit:
         both = np.concatenate
         self._edge, self._v_max = both((q_max, -q_min)), both((v_max, v_max))
         self.a, self.j, self.joints = both((a, a)), both((j, j)), joints
-        self._lag = self.a / self.j  # [s] until the deceleration stands
         self.n = v_max.size
+        self._lead = self.a * self.a / self.j  # [rad/s] speed that is lost on the deceleration's build-up
+        # farther than this from the edge, position asks nothing of a speed below its limit
+        self._far = self._v_max * (self._v_max + 2.0 * self._lead) / (2.0 * self.a)
 
-    def viable_speed(self, q: Array) -> Array:
+    def viable_speed(self, q: Array, room: Array | None = None) -> Array:
         """(2 nv,) the largest speed towards the upper, then the lower edge from which the joint stops in time."""
-        room = np.maximum(self._edge - np.concatenate((q, -q)), 0.0)
-        lead = self.a * self._lag
-        return np.minimum(np.sqrt(lead * lead + 2.0 * self.a * room) - lead, self._v_max)
+        room = self._edge - np.concatenate((q, -q)) if room is None else room
+        speed = np.sqrt(self._lead * self._lead + 2.0 * self.a * np.maximum(room, 0.0)) - self._lead
+        return np.minimum(speed, self._v_max)
 
     def rows(self, q: Array, v: Array, dt: float) -> Rows:
         """Bounds on vdot [rad/s^2] under which the next state is viable."""
+        n = self.n
         speed = np.concatenate((v, -v))
-        allowed = self.viable_speed(q + dt * v)
-        # what the bound on speed itself loses while the joint moves towards the edge
-        closing = np.where(allowed < self._v_max, self.a * np.maximum(speed, 0.0) / (allowed + self.a * self._lag), 0.0)
+        ahead = q + dt * v
+        room = self._edge - np.concatenate((ahead, -ahead))
+        near = (room - self._far).min() < 0.0
+        allowed = self.viable_speed(q, room) if near else self._v_max
         spare = allowed - speed
         ramp = self.j * dt
-        gain = np.sqrt(ramp * ramp + 2.0 * self.j * np.maximum(spare, 0.0)) - ramp
-        # beyond the bound: brake with all that the model has, and no more than one tick needs
-        most = np.where(spare >= 0.0, gain, np.maximum(spare / dt, -self.a)) - closing
-        n = self.n
-        high, low = most[:n], -most[n:]
-        return Rows("joint", {"vdot": None}, np.minimum(low, high), np.maximum(high, low), labels=self.labels)
+        most = np.sqrt(ramp * ramp + 2.0 * self.j * np.maximum(spare, 0.0)) - ramp
+        if near or spare.min() < 0.0:
+            # beyond the bound: brake with all that the model has, and no more than one tick needs
+            most = np.where(spare >= 0.0, most, np.maximum(spare / dt, -self.a))
+            # what the bound on speed itself loses while the joint moves towards the edge
+            closing = self.a * np.maximum(speed, 0.0) / (allowed + self._lead)
+            most -= np.where(allowed < self._v_max, closing, 0.0)
+            return Rows("joint", {"vdot": None}, np.minimum(-most[n:], most[:n]), np.maximum(-most[n:], most[:n]))
+        return Rows("joint", {"vdot": None}, -most[n:], most[:n])
 
     @property
     def labels(self) -> tuple[str, ...]:
         return tuple(f"joint[{joint}]" for joint in self.joints)
 
-    def names(self, q: Array, upper: Array) -> list[str]:
-        """What bounds each joint: `velocity[joint]` or `position[joint]`."""
-        slow = self.viable_speed(q) < self._v_max
-        side = np.where(upper, slow[: self.n], slow[self.n :])
-        return [f"{'position' if s else 'velocity'}[{joint}]" for s, joint in zip(side, self.joints, strict=True)]
+    def name(self, i: int, upper: bool, q: Array) -> str:
+        """What bounds joint i on that side: `position[joint]` or `velocity[joint]`."""
+        i_side = i if upper else i + self.n
+        near = self.viable_speed(q)[i_side] < self._v_max[i_side]
+        return f"{'position' if near else 'velocity'}[{self.joints[i]}]"
 
 
 def braking(robot: Robot, tau_min: Array, tau_max: Array, rate: Array, share: float = 0.5, samples: int = 64) -> tuple[Array, Array]:

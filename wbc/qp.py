@@ -54,7 +54,7 @@ class Problem(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """Worst residuals of the Karush-Kuhn-Tucker conditions, measured on the problem itself, whatever a solver says.
+    """Residuals of the Karush-Kuhn-Tucker conditions, measured on the problem itself, whatever a solver says.
 
     primal: violation of a bound or row; dual: |H x + g + C' z|; gap: multiplier times distance to its bound, with the
     sign that makes it a certificate (z > 0 only at the upper bound, z < 0 only at the lower).
@@ -73,24 +73,28 @@ UNCERTIFIED = Certificate(math.inf, math.inf, math.inf)
 
 
 def certify(problem: Problem, x: Array, z: Array) -> Certificate:
-    """KKT residuals of `x` (n,) with multipliers `z` (n + m,) of the bounds, then the rows."""
-    n = problem.g.size
-    if x.shape != (n,) or z.shape != problem.lo.shape:
+    """KKT residuals (2-norms) of `x` (n,) with multipliers `z` (n + m,) of the bounds, then the rows.
+
+    A number that is not finite anywhere makes a residual that no tolerance holds.
+    """
+    g, lo, hi = problem.g, problem.lo, problem.hi
+    n = g.size
+    if x.shape != g.shape or z.shape != lo.shape:
         return UNCERTIFIED
-    product = problem.stack @ x
-    residual = product[:n] + problem.g
+    value = problem.stack.dot(x)
+    residual = value[:n] + g
     residual += z[:n]
-    residual += z[n:] @ problem.C
-    product[:n] = x  # now [x; C x], what the bounds bound
-    above, below = product - problem.hi, problem.lo - product
-    gap = 0.0
-    for i in z[problem.n_eq + n :].nonzero()[0] + (problem.n_eq + n):
-        gap = max(gap, abs(z[i] * (above[i] if z[i] > 0 else below[i])))
-    for i in z[:n].nonzero()[0]:
-        gap = max(gap, abs(z[i] * (above[i] if z[i] > 0 else below[i])))
-    np.maximum(above, below, above)
-    # max() of a comparison with NaN would be silent, the reductions are not
-    return Certificate(float(above.max()), float(max(residual.max(), -residual.min())), float(gap))
+    residual += z[n:].dot(problem.C)
+    value[:n] = x  # now [x; C x], what the bounds bound
+    outside = np.minimum(value, hi)
+    np.maximum(outside, lo, outside)
+    outside -= value
+    gap, first = 0.0, n + problem.n_eq
+    for i in z.nonzero()[0].tolist():
+        if i < n or i >= first:
+            distance = value[i] - (hi[i] if z[i] > 0.0 else lo[i])
+            gap = max(gap, abs(z[i] * distance))
+    return Certificate(math.sqrt(outside.dot(outside)), math.sqrt(residual.dot(residual)), float(gap))
 
 
 class Variables:
@@ -171,21 +175,15 @@ class Workspace:
     def minimise(self, rows: Rows, weight: float) -> None:
         """Add `weight / 2 |A x - lo|^2` in the metric of the rows."""
         H, g = self.problem.H, self.problem.g
-        metric = rows.metric
-        weighted: list[tuple[slice, Array | None, Array]] = []
+        metric, target = rows.metric, rows.lo
+        weighted = []
         for name, A in rows.A.items():
-            place = self.variables[name]
-            if A is None:
-                WA = metric if metric is not None else np.eye(rows.lo.size)
-            else:
-                WA = A if metric is None else metric.dot(A)
-            if weight != 1.0:
-                WA = WA * weight
-            weighted.append((place, A, WA))
+            WA = (metric if metric is not None else np.eye(target.size)) if A is None else A if metric is None else metric.dot(A)
+            weighted.append((self.variables.slices[name], A, WA * weight if weight != 1.0 else WA))
         for place, A, WA in weighted:
             for other, _, WB in weighted:
                 H[place, other] += WB if A is None else A.T.dot(WB)
-            g[place] -= rows.lo.dot(WA)
+            g[place] -= target.dot(WA)
 
     def constrain(self, rows: Rows) -> None:
         """Put a hard block in its place."""
@@ -195,21 +193,24 @@ class Workspace:
         if place is not None:
             C = self.problem.C
             for name, A in rows.A.items():
-                C[place, self.variables[name]] = A if A is not None else np.eye(rows.lo.size)
+                C[place, self.variables.slices[name]] = A if A is not None else np.eye(rows.lo.size)
+
+    def product(self, name: str, x: Array) -> Array:
+        """C x of the hard block `name`."""
+        return self.problem.C[self._blocks[name][1]].dot(x)
 
     def fault(self) -> str:
         """Why the assembled problem must not reach a solver, or ""."""
         if not math.isfinite(np.add.reduce(self._buffer)):
             return "a coefficient of the problem is not finite"
-        crossed = self.problem.lo <= self.problem.hi  # False also for NaN
-        if not crossed.all():
-            first = int(np.argmin(crossed))
+        ordered = self.problem.lo <= self.problem.hi  # False also for NaN
+        if not ordered.all():
+            first = int(np.argmin(ordered))
             return f"no value satisfies {self.labels[first]}: its bounds cross or are not numbers"
         return ""
 
-    def active(self, z: Array, least: float = 1e-9) -> tuple[str, ...]:
-        """Labels of the inequalities whose multiplier exceeds `least`."""
-        n, n_eq = self.problem.g.size, self.problem.n_eq
-        return tuple(
-            self.labels[i] for i in z.nonzero()[0] if abs(z[i]) > least and (i < n or i >= n + n_eq)
-        )
+    def active(self, z: Array, least: float = 1e-9) -> list[int]:
+        """Numbers of the inequalities whose multiplier exceeds `least`; `labels` names them."""
+        n = self.problem.g.size
+        first = n + self.problem.n_eq
+        return [i for i in z.nonzero()[0].tolist() if (i < n or i >= first) and abs(z[i]) > least]

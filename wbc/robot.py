@@ -7,14 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import lapack
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from . import model as models
 from .errors import ModelError, NameNotFound
 from .qp import Array
 
-_ANGULAR_FIRST = np.array([3, 4, 5, 0, 1, 2])
-_NO_ROWS: tuple[Array, Array] = (np.zeros((0, 0)), np.zeros((0, 0)))
+_NO_ROWS: tuple[Array, Array, Array] = (np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)))
 
 
 class Frame(NamedTuple):
@@ -24,6 +23,7 @@ class Frame(NamedTuple):
     V: Array  # (6,) body twist [rad/s, m/s]
     J: Array  # (6, nv) body Jacobian, V = J v
     drift: Array  # (6,) Jdot v, so that Vdot = J vdot + drift
+    table: Array  # (6, nv + 2) J, drift, V side by side: one product selects rows of all three
 
 
 class State:
@@ -32,7 +32,8 @@ class State:
     Attributes: t [s], dt [s], q (nq,), v (nv,), M (nv, nv), h (nv,) with Coriolis, centrifugal, gravity and joint
     damping. `frame(name)` is a `Frame`. `contacts`, `measured`, `targets` and `loops` are filled by the controller:
     what the contacts demand, the wrenches measured (6,), the targets set from outside, and the force loops' memory;
-    `primary` is (G, W), all rows of contacts and motion tasks with their inertia, which the posture stays out of. Valid until the next state is computed from the same `data`.
+    `primary` is (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of
+    them. Valid until the next state is computed from the same `data`.
     """
 
     __slots__ = ("robot", "data", "t", "dt", "q", "v", "M", "h", "contacts", "measured", "targets", "loops", "primary", "_frames", "_L")
@@ -46,7 +47,7 @@ class State:
         self.measured: dict[str, Array] = {}
         self.targets: dict[str, float] = {}
         self.loops: dict[str, Any] = {}
-        self.primary: tuple[Array, Array] = _NO_ROWS
+        self.primary: tuple[Array, Array, Array] = _NO_ROWS
         self._frames: dict[str, Frame] = {}
         self._L: Array | None = None
 
@@ -55,18 +56,24 @@ class State:
         found = self._frames.get(name)
         if found is None:
             model, data, index = self.robot.model, self.data, self.robot.frame_id(name)
+            n = self.v.size
             T = pin.updateFramePlacement(model, data, index)
-            J = pin.getFrameJacobian(model, data, index, pin.LOCAL)[_ANGULAR_FIRST]
-            a = pin.getFrameAcceleration(model, data, index, pin.LOCAL).vector
+            J = pin.getFrameJacobian(model, data, index, pin.LOCAL)
             # computeAllTerms leaves the accelerations at vdot = 0 in data.a: they are the drift
-            found = self._frames[name] = Frame(T, J.dot(self.v), J, a[_ANGULAR_FIRST])
+            a = pin.getFrameAcceleration(model, data, index, pin.LOCAL).vector
+            table = np.empty((6, n + 2))
+            table[:3, :n], table[3:, :n] = J[3:], J[:3]
+            table[:3, n], table[3:, n] = a[3:], a[:3]
+            J = table[:, :n]
+            V = table[:, n + 1] = J.dot(self.v)
+            found = self._frames[name] = Frame(T, V, J, table[:, n], table)
         return found
 
     def solve_M(self, B: Array) -> Array:
         """M^-1 B by Cholesky, factored once a tick."""
         if self._L is None:
-            self._L = lapack.dpotrf(self.M, lower=1)[0]
-        return lapack.dpotrs(self._L, B, lower=1)[0]
+            self._L = dpotrf(self.M, lower=1)[0]
+        return dpotrs(self._L, B, lower=1)[0]
 
     def gravity(self) -> Array:
         """(nv,) g(q) [N m]."""
@@ -100,6 +107,7 @@ class Robot:
         if self.gravity not in ("controller", "robot"):
             raise ModelError(f"gravity: expected 'controller' or 'robot' (who adds it), got {self.gravity!r}")
         object.__setattr__(self, "_ids", {frame.name: i for i, frame in enumerate(self.model.frames)})
+        object.__setattr__(self, "_maps", {})
 
     @classmethod
     def load(cls, robot: str, tool: str | None = None, scene: str | None = None, gravity: str = "controller") -> Robot:
@@ -168,6 +176,21 @@ class Robot:
         if index is None:
             raise NameNotFound("frame", name, self.frames)
         return int(index)
+
+    def wrench_map(self, source: str, target: str) -> Array | None:
+        """(6, 6) X with F_target = X F_source for two frames of one link, or None when a joint lies between them."""
+        key = (source, target)
+        if key not in self._maps:  # type: ignore[attr-defined]
+            a, b = (self.model.frames[self.frame_id(name)] for name in key)
+            X = None
+            if a.parentJoint == b.parentJoint:
+                T = a.placement.actInv(b.placement)  # the target, seen from the source
+                R, p = T.rotation.T, T.translation
+                X = np.zeros((6, 6))
+                X[:3, :3] = X[3:, 3:] = R
+                X[:3, 3:] = -R @ pin.skew(p)
+            self._maps[key] = X  # type: ignore[attr-defined]
+        return self._maps[key]  # type: ignore[attr-defined]
 
     def state(self, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> State:
         """A `State` with storage of its own."""

@@ -44,11 +44,7 @@ def answer(solver: Solver, problem: Problem, tolerance: Certificate = TOLERANCE)
         except Exception as error:  # a foreign object must not take the loop down
             x, z, certificate = problem.g, problem.lo, UNCERTIFIED
             reason = f"the solver raised {type(error).__name__}: {error}"
-        # the dual residual is compared with the size of the gradient that it is a difference of
-        if certificate.holds(tolerance) or (
-            certificate.dual <= tolerance.dual * (1e-3 * float(np.abs(problem.g).max()))
-            and certificate.holds(tolerance._replace(dual=certificate.dual))
-        ):
+        if certificate.holds(tolerance):
             return Solution(x, z, certificate, True)
         restart = getattr(solver, "restart", None)
         if restart is None or attempt:

@@ -59,6 +59,7 @@ _EXPECTED |= {
     "string_too_short": "a text that is not empty",
 }
 _EXPECTED |= {"tuple_type": "a list", "dict_type": "a mapping", "model_type": "a mapping"}
+_EXPECTED |= {"union_tag_not_found": "a mapping"}
 _TAGS = {"<number>", "<name>", "<list>", "<matrix>", "<map>", "<scale>", "<force>", "<motion>", "<posture>", "[key]"}
 
 
@@ -110,11 +111,10 @@ class Model(BaseModel):
         if kind == "missing":
             return path, f"is missing; expected {described}"
         if kind == "union_tag_invalid":
-            types = re.findall("<([a-z]+)>", bounds["expected_tags"])
-            return (
-                *path,
-                "type",
-            ), f"unknown type {_shown(given.get('type'))}{did_you_mean(str(given.get('type')), types)}"
+            named, types = bounds["tag"].strip("<>"), re.findall("<([a-z]+)>", bounds["expected_tags"])
+            return (*path, "type"), f"unknown type {_shown(named)}{did_you_mean(named, types)}"
+        if kind == "union_tag_not_found" and isinstance(given, Mapping):
+            return (*path, "type"), "is missing; expected force, motion or posture"
         if kind == "literal_error":
             words = re.findall("'([^']*)'", bounds["expected"])
             return path, f"unknown word {_shown(given)}{did_you_mean(str(given), words)}"
@@ -122,7 +122,7 @@ class Model(BaseModel):
             return path, "expected a name of letters, digits and _ that does not begin with a digit"
         if kind in ("too_short", "too_long"):
             bound = f"at least {bounds['min_length']}" if kind == "too_short" else f"at most {bounds['max_length']}"
-            return path, f"expected {bound} entries, got {bounds['actual_length']}"
+            return path, f"expected {bound} entries, got {len(given)}"
         if kind in _COMPARED:
             expected = f"a number {_COMPARED[kind]} {next(iter(bounds.values())):g}"
         else:
@@ -690,7 +690,7 @@ class Expect(Model):
             Annotated[Number, Tag("<number>")] | Annotated[Bound, Tag("<map>")],
             _either("a number (an upper bound) or a mapping with min or max"),
         ],
-    ]
+    ] = Field(init=False)
 
     settle: NonNegative = Field(default=0.0, description="time at the start that is left out of the figures [s]")
 
@@ -853,7 +853,8 @@ class Spec(Model):
             yield from ((path + key, message) for key, message in _gain_faults(task, axes))
 
     def _phase_faults(self, whole: Mapping[str, Any]) -> Iterator[Message]:
-        tree = self.model_dump(by_alias=True, exclude_unset=True, exclude={"phases", "expect"}) if self.phases else {}
+        tree = self.model_dump(by_alias=True, exclude_unset=True, exclude={"phases", "expect"})
+        before = Spec._tried(tree, whole)[1] if any(phase.set for phase in self.phases.values()) else []
         for name, phase in self.phases.items():
             path: KeyPath = ("phases", name)
             if phase.until is None and name != list(self.phases)[-1]:
@@ -870,7 +871,7 @@ class Spec(Model):
                     if not _reaches(whole, parts[:2]) or _reaches(tree, parts[:2]):
                         yield (*path, "set", key), f"{dotted(missing.path)}: {missing.message}"
             if places:
-                for at, message in Spec._tried(changed, whole)[1]:
+                for at, message in (fault for fault in Spec._tried(changed, whole)[1] if fault not in before):
                     key = next((key for place, key in places.items() if at[: len(place)] == place), "")
                     tail = "" if tuple(key.split(".")) == at else f"{dotted(at)}: "
                     yield (*path, "set", *([key] if key else [])), tail + message

@@ -35,8 +35,11 @@ class Task(Protocol):
     def rows(self, state: State) -> Rows: ...
 
 
-def computed_torque(frame: Frame, desired: Sample, Kp: Array, Kd: Array) -> Array:
-    """(6,) y = d/dt(Ad V_d) + Kp X_e + Kd V_e in the axes of the frame (book 11.37), [rad/s^2, m/s^2]."""
+def computed_torque(frame: Frame, desired: Sample, K: Array) -> Array:
+    """(6,) y = d/dt(Ad V_d) + Kp X_e + Kd V_e in the axes of the frame (book 11.37), [rad/s^2, m/s^2].
+
+    `K` (6, 12) is [Kp, Kd], its first six columns in the order of Pinocchio's logarithm, linear part first.
+    """
     X = frame.T.actInv(desired.T)
     moved = X.toActionMatrix()[_ANGULAR_FIRST].dot(desired.motion)
     V_d, y = moved[:, 0], moved[:, 1]
@@ -46,8 +49,7 @@ def computed_torque(frame: Frame, desired: Sample, Kp: Array, Kd: Array) -> Arra
         w1 * a2 - w2 * a1, w2 * a0 - w0 * a2, w0 * a1 - w1 * a0,
         v1 * a2 - v2 * a1 + w1 * b2 - w2 * b1, v2 * a0 - v0 * a2 + w2 * b0 - w0 * b2, v0 * a1 - v1 * a0 + w0 * b1 - w1 * b0,
     )  # fmt: skip
-    y += Kp.dot(pin.log6(X).vector[_ORDER])
-    y += Kd.dot(V_d - frame.V)
+    y += K.dot(np.concatenate((pin.log6(X).vector, V_d - frame.V)))
     return y
 
 
@@ -75,7 +77,7 @@ class MotionTask:
         self.raw = law == "book" and contact is not None  # tracks the raw y of the book on all axes
         self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
         self._robot_axes = list(robot_axes)
-        self._Kp, self._Kd = (self._lift(K, name) for K, name in ((kp, "kp"), (kd, "kd")))
+        self._K = np.hstack((self._lift(kp, "kp")[:, _ORDER], self._lift(kd, "kd")))
 
     def _lift(self, K: Any, name: str) -> Array:
         """Gains over the selected axes as a (6, 6) matrix; a number also holds the other axes, as in the book."""
@@ -90,20 +92,31 @@ class MotionTask:
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (s, nv) and (s,)."""
         frame = state.frame(self.frame)
-        y = computed_torque(frame, self.reference(state.t), self._Kp, self._Kd)
+        y = computed_torque(frame, self.reference(state.t), self._K)
         y -= frame.drift
         if self.raw:
             return frame.J[self._robot_axes], y[self._robot_axes]
-        S = self._S if self._S is not None else state.contacts[self.contact].free
+        S = self._S if self.contact is None else state.contacts[self.contact].free
         return S.dot(frame.J), S.dot(y)
 
     def rows(self, state: State) -> Rows:
-        G, b = self.target(state)
-        if not self.raw and state.contacts:
-            # the contacts' rows hold anyway; with them the metric is the inertia that the constrained robot shows
-            G = np.concatenate([held.G for held in state.contacts.values()] + [G])
-            b = np.concatenate([held.rhs for held in state.contacts.values()] + [b])
-        return Rows("", {"vdot": G}, b, b, inertia(mobility(state, G)))
+        """With the contacts' rows, which hold anyway, the metric is the inertia that the constrained robot shows."""
+        if not self.raw and len(state.contacts) == 1 and self.contact is not None:
+            held: Held = state.contacts[self.contact]
+            n, k = state.v.size, held.A.shape[0]
+            G = held.table[:, :n]
+            b = -held.table[:, n]
+            b[:k] = held.rhs
+            b[k:] += held.free.dot(computed_torque(state.frame(self.frame), self.reference(state.t), self._K))
+        else:
+            G, b = self.target(state)
+            if not self.raw:
+                G = np.concatenate([held.G for held in state.contacts.values()] + [G])
+                b = np.concatenate([held.rhs for held in state.contacts.values()] + [b])
+        K = mobility(state, G)
+        W = inertia(K)
+        state.primary = (G, W, K)
+        return Rows("", {"vdot": G}, b, b, W)
 
 
 class ForceLoop(NamedTuple):
@@ -186,8 +199,12 @@ class ForceTask:
         held: Held = state.contacts[self.contact]
         command = self.desired(state)
         loop = self.sense(state, command)
-        feedback = self.Kp.dot(loop.error) + self.Ki.dot(loop.integral)
-        metric = mobility(state, held.G)
+        feedback = self.Kp.dot(loop.error)
+        feedback += self.Ki.dot(loop.integral)
+        G, _, K = state.primary
+        k = command.size
+        # a motion task on this contact has computed the mobility already: its rows begin with the contact's
+        metric = K[:k, :k] if G.base is held.table else mobility(state, held.G)
         if self._book:
             # (I - P) F = A' Lam A M_C^-1 F, and A M_C^-1 F = G M^-1 J' F; the constraint adds Lam Adot V of its own
             push = held.G.dot(state.solve_M(state.frame(held.frame).J.T.dot(feedback))) + held.Adot_V
@@ -202,14 +219,15 @@ class ForceTask:
         """The memory for the next tick; the integral waits on axes where a limit keeps the force from its command."""
         loop: ForceLoop = state.loops[self.contact]
         step = state.dt * loop.error
-        short = loop.command - lam
-        if not self._book and np.abs(short).max(initial=0.0) > 1e-6 * (1.0 + np.abs(loop.command).max(initial=0.0)):
-            step = np.where(short * step > 0.0, 0.0, step)
+        if not self._book:
+            short = loop.command - lam
+            if short.dot(short) > 1e-12 * (1.0 + loop.command.dot(loop.command)):
+                step = np.where(short * step > 0.0, 0.0, step)
         integral = loop.integral + step
         if self.integral_limit < math.inf:
             bound = self.integral_limit / np.maximum(self.Ki.diagonal(), 1e-12)
             integral = np.clip(integral, -bound, bound)
-        return loop._replace(integral=integral)
+        return ForceLoop(loop.filtered, integral)
 
 
 class PostureTask:
@@ -231,6 +249,6 @@ class PostureTask:
         return self._Kp.dot(error) - self._Kd.dot(state.v)
 
     def rows(self, state: State) -> Rows:
-        G, W = state.primary
+        G, W, _ = state.primary
         vdot = self.acceleration(state)
         return Rows("", {"vdot": None}, vdot, vdot, state.M - G.T.dot(W.dot(G)))

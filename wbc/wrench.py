@@ -42,6 +42,9 @@ class Wrench:
         """(6,) the same wrench in the axes and at the origin of another frame: F_b = Ad_{T_ab}' F_a."""
         if frame == self.frame:
             return self.F
+        X = state.robot.wrench_map(self.frame, frame)
+        if X is not None:
+            return X.dot(self.F)
         T = state.frame(self.frame).T.actInv(state.frame(frame).T)  # the other frame, seen from ours
         m, f = T.rotation.T @ (self.F[:3] - np.cross(T.translation, self.F[3:])), T.rotation.T @ self.F[3:]
         return np.concatenate((m, f))
