@@ -1,0 +1,47 @@
+"""Whole-body contact control: one quadratic program a tick, exact where the book has a closed form.
+
+The names below are imported on first use, so that `import wbc` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Controller": "controller", "Output": "controller", "Phase": "controller", "Status": "controller",
+    "Robot": "robot", "State": "robot", "Frame": "robot", "Wrench": "wrench", "ForceSensor": "wrench",
+    "AxesContact": "contact", "Contact": "contact", "MatrixContact": "contact", "ScrewContact": "contact",
+    "SphereContact": "contact", "WorldAxesContact": "contact",
+    "ForceTask": "task", "MotionTask": "task", "PostureTask": "task", "Rows": "qp", "Sample": "reference",
+    "WbcError": "errors", "SpecError": "errors", "load": "spec",
+}  # fmt: skip
+_MODULES = ("analytic", "errors", "reference", "solver", "testing")
+
+__all__ = [*_HOME, *_MODULES]
+
+if TYPE_CHECKING:
+    from . import analytic, errors, reference, solver, testing
+    from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+    from .controller import Controller, Output, Phase, Status
+    from .errors import SpecError, WbcError
+    from .qp import Rows
+    from .reference import Sample
+    from .robot import Frame, Robot, State
+    from .spec import load
+    from .task import ForceTask, MotionTask, PostureTask
+    from .wrench import ForceSensor, Wrench
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+    if name in _MODULES:
+        return importlib.import_module(f".{name}", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

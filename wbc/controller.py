@@ -208,6 +208,11 @@ class Controller:
             getattr(solver, "restart", lambda: None)()
 
     @property
+    def phases(self) -> tuple[Phase, ...]:
+        """All phases, as they run."""
+        return tuple(structure.phase for structure in self._phases)
+
+    @property
     def phase(self) -> Phase:
         """The phase of the last tick."""
         return self._phases[self._memory.phase if self._memory else 0].phase

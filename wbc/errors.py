@@ -78,6 +78,14 @@ class StateError(WbcError):
     """A state that a controller cannot start from: shape, type, or a number that is not finite."""
 
 
+class SimulationError(WbcError):
+    """The simulator diverged; `time` [s] says when."""
+
+    def __init__(self, message: str, time: float) -> None:
+        self.time = time
+        super().__init__(message)
+
+
 class SolverError(WbcError):
     """A solver that is unknown or not installed."""
 

@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from .qp import Array
 
+_ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))
 Scalar = Callable[[float], tuple[float, float, float]]  # t -> position, velocity, acceleration
 
 
@@ -119,7 +120,7 @@ class Path:
                 continue
             R = R @ self._turn(axis, s, rate, bend, motion)
         T = pin.SE3(R, p)
-        return Sample(T, motion) if self.offset is None else _offset(T, motion, self.offset)
+        return Sample(T, motion) if self.offset is None else Sample(T * self.offset, _seen_from(self.offset, motion))
 
     @staticmethod
     def _turn(axis: int, s: float, rate: float, bend: float, motion: Array) -> Array:
@@ -134,24 +135,30 @@ class Path:
         return step
 
 
-def _offset(T: pin.SE3, motion: Array, offset: pin.SE3) -> Sample:
-    X = offset.inverse().toActionMatrix()[np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))]
-    return Sample(T * offset, X @ motion)
+def _seen_from(T: pin.SE3, motion: Array) -> Array:
+    """Twist columns in the axes of a frame that stands at T, rigidly."""
+    return T.inverse().toActionMatrix()[_ANGULAR_FIRST] @ motion
 
 
 class ScrewPath:
-    """Motion along one screw (6,) of a fixed pose `origin`: T_d = origin exp([S] s(t)) start, start the pose at s = 0."""
+    """Motion along screws (6,) fixed in the pose `origin`: T_d = origin exp([S_1] s_1(t)) ... exp([S_f] s_f(t)) start."""
 
-    def __init__(self, origin: pin.SE3, screw: Array, scalar: Scalar, start: pin.SE3) -> None:
-        self._origin, self._screw, self._scalar = origin.copy(), np.array(screw, float), scalar
-        self._start = start.copy()
-        X = start.inverse().toActionMatrix()[np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))]
-        self._body = X @ self._screw
+    def __init__(self, origin: pin.SE3, screws: Sequence[Array], scalars: Sequence[Scalar], start: pin.SE3) -> None:
+        self._origin, self._start = origin.copy(), start.copy()
+        self._screws, self._scalars = [np.array(S, float) for S in screws], list(scalars)
 
     def __call__(self, t: float) -> Sample:
-        s, rate, bend = self._scalar(t)
-        S = pin.Motion(self._screw[3:] * s, self._screw[:3] * s)
-        return Sample(self._origin * pin.exp6(S) * self._start, np.outer(self._body, (rate, bend)))
+        T, motion = self._origin, np.zeros((6, 2))
+        for S, scalar in zip(self._screws, self._scalars, strict=True):
+            s, rate, bend = scalar(t)
+            step = pin.exp6(pin.Motion(S[3:] * s, S[:3] * s))
+            T, motion = T * step, _seen_from(step, motion)
+            w, v = motion[:3, 0], motion[3:, 0]
+            motion[:3, 1] -= rate * np.cross(S[:3], w)
+            motion[3:, 1] -= rate * (np.cross(S[3:], w) + np.cross(S[:3], v))
+            motion[:, 0] += S * rate
+            motion[:, 1] += S * bend
+        return Sample(T * self._start, _seen_from(self._start, motion))
 
 
 def hold(T: pin.SE3) -> Reference:

@@ -110,7 +110,7 @@ class Robot:
         object.__setattr__(self, "_maps", {})
 
     @classmethod
-    def load(cls, robot: str, tool: str | None = None, scene: str | None = None, gravity: str = "controller") -> Robot:
+    def load(cls, robot: str, tool: str | None = None, scene: str | None = None, gravity: str = "controller", name: str = "") -> Robot:
         """A robot with its tool, in its scene, from shipped names, paths or `erd:NAME`.
 
         Raises ModelError for files that cannot be used, ModelMismatch when MuJoCo and Pinocchio disagree.
@@ -124,7 +124,7 @@ class Robot:
         keyframes = {"home": mj.qpos0} | {name: qpos for name, qpos in keys.items() if qpos.size == mj.nq}
         damping = np.array([np.ravel(d)[0] for d in mj.dof_damping]) if mj.nv else np.zeros(0)
         return cls(
-            name=str(robot),
+            name=name or str(robot),
             model=model,
             joints=tuple(model.names)[1:],
             tau_min=low,

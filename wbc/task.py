@@ -79,6 +79,11 @@ class MotionTask:
         self._robot_axes = list(robot_axes)
         self._K = np.hstack((self._lift(kp, "kp")[:, _ORDER], self._lift(kd, "kd")))
 
+    @property
+    def selection(self) -> Array:
+        """(s, 6) rows that pick the task's axes, for a task without a contact."""
+        return np.eye(6) if self._S is None else self._S
+
     def _lift(self, K: Any, name: str) -> Array:
         """Gains over the selected axes as a (6, 6) matrix; a number also holds the other axes, as in the book."""
         if np.ndim(K) == 0:

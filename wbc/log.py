@@ -1,0 +1,68 @@
+"""Records of a run: one array a quantity, one row a tick, in one `npz` that numpy alone can read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .qp import Array
+
+LIMITED_TICKS = 64  # names of active limits kept for one tick
+
+
+class Log:
+    """Grows tick by tick into preallocated arrays; `meta` is anything that JSON can hold."""
+
+    def __init__(self, ticks: int, meta: Mapping[str, Any] | None = None) -> None:
+        self.ticks, self.size, self.meta = ticks, 0, dict(meta or {})
+        self._arrays: dict[str, Array] = {}
+        self.active: list[tuple[str, ...]] = []
+
+    def append(self, active: tuple[str, ...], **values: Any) -> None:
+        """One tick: numbers and vectors by name (`board__true` is stored as `board.true`)."""
+        i = self.size
+        for name, value in values.items():
+            array = self._arrays.get(name)
+            if array is None:
+                array = self._arrays[name] = np.full((self.ticks, *np.shape(value)), np.nan)
+            array[i] = value
+        self.active.append(active)
+        self.size += 1
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._arrays
+
+    def __getitem__(self, name: str) -> Array:
+        """All recorded rows of a quantity."""
+        return self._arrays[name][: self.size]
+
+    @property
+    def names(self) -> list[str]:
+        return sorted(self._arrays)
+
+    def save(self, path: Path) -> None:
+        """Write `path` (npz): the arrays, `meta` as JSON, and active limits as a table of names and a (ticks, names) mask."""
+        names = sorted({name for active in self.active for name in active})
+        mask = np.zeros((self.size, len(names)), dtype=bool)
+        for i, active in enumerate(self.active):
+            for name in active:
+                mask[i, names.index(name)] = True
+        arrays: dict[str, Any] = {name: self[name] for name in self._arrays}
+        np.savez_compressed(
+            path, meta=np.array(json.dumps(self.meta)), active_names=np.array(names, dtype=str), active=mask, **arrays
+        )
+
+    @classmethod
+    def load(cls, path: Path) -> Log:
+        """Read what `save` wrote."""
+        with np.load(path) as file:
+            names, mask = file["active_names"].tolist(), file["active"]
+            log = cls(mask.shape[0], json.loads(str(file["meta"])))
+            log._arrays = {name: file[name] for name in file.files if name not in ("meta", "active", "active_names")}
+        log.size = mask.shape[0]
+        log.active = [tuple(name for name, on in zip(names, row, strict=True) if on) for row in mask]
+        return log

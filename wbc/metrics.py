@@ -1,0 +1,97 @@
+"""The vocabulary of measured quantities: what `expect` bounds and `summary.json` reports, all true, every tick.
+
+    CONTACT.AXIS.rms_error, .max_error, .mean      wrench of the robot on the environment against its target [N, N m]
+    CONTACT.lost                                   ticks after first touch in which the contact carried no force
+    TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
+    TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
+    TASK.speed.max                                 speed of the task frame [m/s]
+    torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
+    torque_rate.max, torque_rate.max_excess        [N m/s]
+    joint.max_excess                               position beyond its limit [rad]
+    ticks.not_ok, .limited, .degraded              number of ticks by status
+
+Figures leave out the first `settle` seconds, all but those of torque, joints and ticks, which hold from the first tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .log import Log
+from .qp import Array
+from .task import ForceTask, MotionTask
+
+ALWAYS = (
+    "torque.max_excess", "torque.max_share", "torque_rate.max", "torque_rate.max_excess", "joint.max_excess",
+    "ticks.not_ok", "ticks.limited", "ticks.degraded",
+)  # fmt: skip
+
+
+def vocabulary(phases: Sequence[Any]) -> list[str]:
+    """Every metric that a run of these phases reports."""
+    names = list(ALWAYS)
+    for phase in phases:
+        for task in phase.tasks.values():
+            if isinstance(task, ForceTask):
+                names += [f"{task.contact}.{axis}.{figure}" for axis in task.axes for figure in ("rms_error", "max_error", "mean")]
+        names += [f"{contact}.lost" for contact in phase.contacts]
+        for name, task in phase.tasks.items():
+            if isinstance(task, MotionTask):
+                names += [f"{name}.{figure}" for figure in _MOTION]
+    return sorted(set(names))
+
+
+_MOTION = ("position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max")
+
+
+def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
+    """All figures of a log."""
+    late = log["t"] >= settle - 1e-9
+    out: dict[str, float] = {}
+    for phase in phases:
+        for name, task in phase.tasks.items():
+            if isinstance(task, ForceTask):
+                error = (log[f"{task.contact}.lam"] - log[f"{task.contact}.target"])[late]
+                mean = log[f"{task.contact}.lam"][late]
+                for i, axis in enumerate(task.axes):
+                    out |= _errors(f"{task.contact}.{axis}", error[:, i])
+                    out[f"{task.contact}.{axis}.mean"] = float(mean[:, i].mean()) if late.any() else 0.0
+            elif isinstance(task, MotionTask):
+                error = log[f"{name}.error"][late]
+                out |= _errors(f"{name}.position", np.linalg.norm(error[:, 3:], axis=1))
+                out |= _errors(f"{name}.rotation", np.linalg.norm(error[:, :3], axis=1))
+                out[f"{name}.speed.max"] = float(log[f"{name}.speed"][late].max(initial=0.0))
+        for contact in phase.contacts:
+            force = np.linalg.norm(log[f"{contact}.true"], axis=1) > 0.0
+            touched = np.maximum.accumulate(force) & late
+            out[f"{contact}.lost"] = float((touched & ~force).sum())
+    return out | _limits(log)
+
+
+def _errors(name: str, error: Array) -> dict[str, float]:
+    if not error.size:
+        return {f"{name}.rms_error": 0.0, f"{name}.max_error": 0.0}
+    return {f"{name}.rms_error": float(np.sqrt(np.mean(error**2))), f"{name}.max_error": float(np.abs(error).max())}
+
+
+def _limits(log: Log) -> dict[str, float]:
+    tau, low, high = log["tau"], log["tau_min"], log["tau_max"]
+    rate = np.abs(np.diff(tau, axis=0)) / log.meta["dt"]
+    limit = log["torque_rate_limit"][1:]
+    joint = np.maximum(log["q"] - log.meta["q_max"], np.array(log.meta["q_min"]) - log["q"]) if log.meta.get("q_max") else np.zeros(1)
+    status = np.array([log.meta["status_names"][int(s)] for s in log["status"]])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(np.isfinite(high), np.maximum(tau / high, tau / low), 0.0)
+    return {
+        "torque.max_excess": float(max(0.0, np.maximum(tau - high, low - tau).max())),
+        "torque.max_share": float(share.max()),
+        "torque_rate.max": float(rate.max(initial=0.0)),
+        "torque_rate.max_excess": float(max(0.0, (rate - limit).max(initial=0.0))),
+        "joint.max_excess": float(max(0.0, joint.max())),
+        "ticks.not_ok": float((status != "OK").sum()),
+        "ticks.limited": float((status == "LIMITED").sum()),
+        "ticks.degraded": float(np.isin(status, ("DEGRADED", "SAFE_HOLD", "STOPPED")).sum()),
+    }

@@ -1,0 +1,2 @@
+def report(log, summary, path):
+    pass

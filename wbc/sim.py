@@ -1,0 +1,155 @@
+"""The only place that steps MuJoCo: the plant with its honest errors, true contact wrenches, noisy measurements."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from .errors import ModelError, SimulationError
+from .model import to_pinocchio
+from .qp import Array
+from .robot import Robot, State
+from .wrench import ForceSensor, Wrench
+
+SENSORS = ("wrist_torque", "wrist_force")
+
+
+class Observation(NamedTuple):
+    """What the controller is shown at one tick."""
+
+    t: float
+    q: Array
+    v: Array
+
+
+class Simulator:
+    """A robot's compiled model as a plant, one control tick a step.
+
+    Parameters: the robot (it is not changed), the start `q`, the control period `dt` [s], `plant`: what only the
+    simulator knows (payload [kg], mass_error, joint_friction [N m], contact_friction, armature [kg m^2], delay [ticks],
+    noise), and the seed of the noise.
+    """
+
+    def __init__(self, robot: Robot, q: Array, dt: float, plant: Any = None, seed: int = 0) -> None:
+        if robot.mujoco is None:
+            raise ModelError("only a robot that was loaded from a file can be simulated")
+        self.robot, self.dt = robot, dt
+        self.model: mujoco.MjModel = _changed(robot, plant)
+        self.substeps = max(1, round(dt / self.model.opt.timestep))
+        self.model.opt.timestep = dt / self.substeps
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:] = to_mujoco(self.model, q)
+        self._noise = plant.noise if plant is not None else None
+        self._rng = np.random.default_rng(seed)
+        self._delayed: deque[Array] = deque(maxlen=(plant.delay if plant is not None else 0) + 1)
+        self._sensor = ForceSensor(robot) if all(_has_sensor(self.model, name) for name in SENSORS) else None
+        self._gear = _actuators(self.model)
+
+    def observe(self) -> Observation:
+        """Kinematics at the present state, as the encoders see it."""
+        mujoco.mj_step1(self.model, self.data)
+        q, v = to_pinocchio(self.model, self.data.qpos, self.data.qvel)
+        if self._noise is not None and (self._noise.position or self._noise.velocity):
+            q = q + self._rng.normal(0.0, 1.0, q.size) * self._noise.position
+            v = v + self._rng.normal(0.0, 1.0, v.size) * self._noise.velocity
+        return Observation(self.data.time, q, v)
+
+    def apply(self, tau: Array) -> None:
+        """Send a torque (nv,) [N m], after the plant's delay, and go on to the next tick."""
+        self._delayed.append(tau)
+        for step in range(self.substeps):
+            if step:
+                mujoco.mj_step1(self.model, self.data)
+            self.data.ctrl[:] = self._delayed[0][self._gear[0]] / self._gear[1]
+            mujoco.mj_step2(self.model, self.data)
+        grown = [w for w in range(len(self.data.warning)) if self.data.warning[w].number]
+        if grown or not np.isfinite(self.data.qacc).all():
+            name = mujoco.mjtWarning(grown[0]).name if grown else "an acceleration that is not finite"
+            raise SimulationError(f"the simulation broke down at t = {self.data.time:.3f} s ({name})", self.data.time)
+
+    def measured(self, state: State, vdot: Array) -> Wrench | None:
+        """The wrist sensor's wrench of the last tick, tool compensated; None without a sensor.
+
+        `state` and `vdot` are the controller's for that tick: a real sensor's driver knows no more.
+        """
+        if self._sensor is None:
+            return None
+        reading = np.concatenate([self.data.sensor(name).data for name in SENSORS])
+        if self._noise is not None and (self._noise.force or self._noise.moment):
+            reading[:3] += self._rng.normal(0.0, 1.0, 3) * self._noise.moment
+            reading[3:] += self._rng.normal(0.0, 1.0, 3) * self._noise.force
+        return self._sensor.compensated(reading, state, vdot)
+
+    def true_wrench(self, frame: str) -> Array:
+        """(6,) what the body that carries `frame` applied to its environment in the last tick, in that frame; true, unfiltered."""
+        site = self.model.site(frame)
+        body, R, p = site.bodyid[0], self.data.site_xmat[site.id].reshape(3, 3), self.data.site_xpos[site.id]
+        F, force = np.zeros(6), np.zeros(6)
+        for i in range(self.data.ncon):
+            contact = self.data.contact[i]
+            owners = [self.model.geom_bodyid[g] for g in contact.geom]
+            if (owners[0] == body) == (owners[1] == body):
+                continue
+            mujoco.mj_contactForce(self.model, self.data, i, force)
+            # the contact frame's force acts on the second geom
+            sign = 1.0 if owners[0] == body else -1.0
+            axes = contact.frame.reshape(3, 3)
+            f, m = sign * (axes.T @ force[:3]), sign * (axes.T @ force[3:])
+            F[:3] += R.T @ (m + np.cross(contact.pos - p, f))
+            F[3:] += R.T @ f
+        return F
+
+
+def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:
+    """Pinocchio's q as MuJoCo's qpos: quaternions wxyz."""
+    qpos = np.array(q, float)
+    for joint in np.flatnonzero(model.jnt_type < 2):
+        at = model.jnt_qposadr[joint] + (3 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE else 0)
+        qpos[at : at + 4] = np.roll(q[at : at + 4], 1)
+    return qpos
+
+
+def _changed(robot: Robot, plant: Any) -> mujoco.MjModel:
+    """A copy of the model with the plant's errors."""
+    import copy
+
+    model = copy.copy(robot.mujoco)
+    if plant is None:
+        return model
+    model.body_mass[:] *= 1.0 + plant.mass_error
+    model.body_inertia[:] *= 1.0 + plant.mass_error
+    if plant.payload:
+        model.body_mass[_last_body(model)] += plant.payload
+    model.dof_frictionloss[:] += plant.joint_friction
+    if plant.armature is not None:
+        model.dof_armature[:] = plant.armature
+    if plant.contact_friction:
+        touching = (model.geom_contype | model.geom_conaffinity) > 0
+        model.geom_friction[touching, 0] = plant.contact_friction
+        model.geom_condim[touching] = 3
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def _last_body(model: mujoco.MjModel) -> int:
+    """The body that carries the load: the tool where there is one, else the last link."""
+    if _has_site(model, "wrist_sensor"):
+        return int(model.site("wrist_sensor").bodyid[0])
+    return int(model.jnt_bodyid[-1])
+
+
+def _has_site(model: mujoco.MjModel, name: str) -> bool:
+    return bool(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) >= 0)
+
+
+def _has_sensor(model: mujoco.MjModel, name: str) -> bool:
+    return bool(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0)
+
+
+def _actuators(model: mujoco.MjModel) -> tuple[Array, Array]:
+    """For every motor, its velocity's number and gear."""
+    dofs = np.array([model.jnt_dofadr[j] for j in model.actuator_trnid[:, 0]], dtype=int)
+    return dofs, model.actuator_gear[:, 0] * model.actuator_gainprm[:, 0]
