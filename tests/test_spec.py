@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from wbc import source
 from wbc.errors import SpecError
 from wbc.resources import find_file, shipped, shipped_folder, shipped_names
-from wbc.spec import Bound, Lissajous, MotionTask, PostureTask, Scale, Spec, json_schema, load
+from wbc.spec import Bound, Lissajous, MotionTask, PostureTask, Scale, Spec, json_schema, load, source
 
 ERASER = (shipped_folder("tasks") / "eraser.yaml").read_text()
 SHIPPED = shipped_names("tasks", ".yaml")
@@ -663,11 +662,6 @@ def test_with_set_is_a_checked_copy() -> None:
         spec.with_set({"tasks.pres.kp": 1})
     with pytest.raises(SpecError, match=r"tasks\.draw\.kd: expected 3 numbers"):
         spec.with_set({"tasks.draw.kd": [1, 2]})
-
-
-def test_types_of_ones_own_are_not_open_yet() -> None:
-    with pytest.raises(NotImplementedError, match="types of one's own"):
-        load("eraser", types={"mine": int})
 
 
 # --- Mutations -------------------------------------------------------------------------------------------------------

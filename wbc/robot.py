@@ -108,6 +108,7 @@ class Robot:
             raise ModelError(f"gravity: expected 'controller' or 'robot' (who adds it), got {self.gravity!r}")
         object.__setattr__(self, "_ids", {frame.name: i for i, frame in enumerate(self.model.frames)})
         object.__setattr__(self, "_maps", {})
+        object.__setattr__(self, "_axes", {})
 
     @classmethod
     def load(cls, robot: str, tool: str | None = None, scene: str | None = None, gravity: str = "controller", name: str = "") -> Robot:
@@ -227,12 +228,14 @@ class Robot:
 
     def axes(self, frame_name: str, states: int = 8) -> tuple[int, ...]:
         """Indices of the body axes (wx .. vz) that the robot can ever move `frame_name` along: all six, or r < 6 of a planar arm."""
-        rng = np.random.default_rng(0)
-        reach = np.zeros(6)
-        for _ in range(states):
-            q = pin.integrate(self.model, self.keyframes["home"], rng.uniform(-1.5, 1.5, self.nv))
-            reach = np.maximum(reach, np.abs(self.state(q, np.zeros(self.nv)).frame(frame_name).J).max(axis=1))
-        return tuple(int(i) for i in np.flatnonzero(reach > 1e-9))
+        if frame_name not in self._axes:  # type: ignore[attr-defined]
+            rng = np.random.default_rng(0)
+            reach = np.zeros(6)
+            for _ in range(states):
+                q = pin.integrate(self.model, self.keyframes["home"], rng.uniform(-1.5, 1.5, self.nv))
+                reach = np.maximum(reach, np.abs(self.state(q, np.zeros(self.nv)).frame(frame_name).J).max(axis=1))
+            self._axes[frame_name] = tuple(int(i) for i in np.flatnonzero(reach > 1e-9))  # type: ignore[attr-defined]
+        return self._axes[frame_name]  # type: ignore[attr-defined,no-any-return]
 
 
 def _velocity_limits(mj: Any) -> Array:

@@ -50,8 +50,17 @@ class Result:
 Hook = Callable[[Observation, Output], None]
 
 
-def run(built: Built, seed: int = 0, progress: Callable[[int], None] | None = None, hook: Hook | None = None) -> Result:
-    """Simulate a built spec for its duration. `hook` sees every tick, `progress` the number of ticks done."""
+def run(
+    built: Built,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
+    hook: Hook | None = None,
+    show: Callable[[Simulator], None] | None = None,
+) -> Result:
+    """Simulate a built spec for its duration.
+
+    `progress` is told the number of ticks done, `hook` sees every tick, `show` draws the simulator.
+    """
     spec, controller = built.spec, built.controller
     dt = controller.dt
     ticks = max(1, round(spec.duration * spec.rate))
@@ -62,7 +71,7 @@ def run(built: Built, seed: int = 0, progress: Callable[[int], None] | None = No
     gc.collect()
     gc.freeze()  # what is built stays: the collector need not look at it every tick
     try:
-        _loop(built, simulator, log, ticks, progress, hook)
+        _loop(built, simulator, log, ticks, progress, hook, show)
     except SimulationError as error:
         broken = str(error)
     finally:
@@ -70,7 +79,9 @@ def run(built: Built, seed: int = 0, progress: Callable[[int], None] | None = No
     return Result(log, _summary(built, log, time.perf_counter() - began, broken))
 
 
-def _loop(built: Built, simulator: Simulator, log: Log, ticks: int, progress: Any, hook: Hook | None) -> None:
+def _loop(
+    built: Built, simulator: Simulator, log: Log, ticks: int, progress: Any, hook: Hook | None, show: Any
+) -> None:
     controller, measured = built.controller, None
     contacts = sorted({name for phase in built.phases for name in phase.contacts})
     for tick in range(ticks):
@@ -85,6 +96,8 @@ def _loop(built: Built, simulator: Simulator, log: Log, ticks: int, progress: An
         _record(log, controller, seen, out, took, true)
         if hook is not None:
             hook(seen, out)
+        if show is not None:
+            show(simulator)
         if progress is not None and tick % 50 == 49:
             progress(tick + 1)
 

@@ -76,8 +76,9 @@ class MotionTask:
         self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
         self.raw = law == "book" and contact is not None  # tracks the raw y of the book on all axes
         self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
-        self._robot_axes = list(robot_axes)
-        self._K = np.hstack((self._lift(kp, "kp")[:, _ORDER], self._lift(kd, "kd")))
+        self.robot_axes = list(robot_axes)
+        self.Kp, self.Kd = self._lift(kp, "kp"), self._lift(kd, "kd")
+        self._K = np.hstack((self.Kp[:, _ORDER], self.Kd))
 
     @property
     def selection(self) -> Array:
@@ -100,7 +101,7 @@ class MotionTask:
         y = computed_torque(frame, self.reference(state.t), self._K)
         y -= frame.drift
         if self.raw:
-            return frame.J[self._robot_axes], y[self._robot_axes]
+            return frame.J[self.robot_axes], y[self.robot_axes]
         S = self._S if self.contact is None else state.contacts[self.contact].free
         return S.dot(frame.J), S.dot(y)
 
@@ -212,7 +213,9 @@ class ForceTask:
         metric = K[:k, :k] if G.base is held.table else mobility(state, held.G)
         if self._book:
             # (I - P) F = A' Lam A M_C^-1 F, and A M_C^-1 F = G M^-1 J' F; the constraint adds Lam Adot V of its own
-            push = held.G.dot(state.solve_M(state.frame(held.frame).J.T.dot(feedback))) + held.Adot_V
+            push = held.G.dot(state.solve_M(state.frame(held.frame).J.T.dot(feedback)))
+            if held.Adot_V is not None:
+                push += held.Adot_V
             command = command + inertia(metric).dot(push)
         else:
             command = command + feedback
@@ -245,13 +248,13 @@ class PostureTask:
     def __init__(self, q: Array, kp: Any = 50.0, kd: Any = 10.0, robot_nv: int | None = None) -> None:
         self.q = np.array(q, float)
         n = robot_nv or self.q.size
-        self._Kp, self._Kd = gain_matrix(kp, n, "kp"), gain_matrix(kd, n, "kd")
+        self.Kp, self.Kd = gain_matrix(kp, n, "kp"), gain_matrix(kd, n, "kd")
 
     def acceleration(self, state: State) -> Array:
         """(nv,) vdot_p [rad/s^2]."""
         model = state.robot.model
         error = self.q - state.q if model.nq == model.nv else pin.difference(model, state.q, self.q)
-        return self._Kp.dot(error) - self._Kd.dot(state.v)
+        return self.Kp.dot(error) - self.Kd.dot(state.v)
 
     def rows(self, state: State) -> Rows:
         G, W, _ = state.primary

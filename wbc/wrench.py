@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from .axes import VELOCITY_AXES as VELOCITY_AXES
+from .axes import WRENCH_AXES as WRENCH_AXES
 from .errors import WrenchError
 from .qp import Array
 from .robot import Robot, State
-
-VELOCITY_AXES = ("wx", "wy", "wz", "vx", "vy", "vz")
-WRENCH_AXES = ("mx", "my", "mz", "fx", "fy", "fz")
 
 
 @dataclass(frozen=True)

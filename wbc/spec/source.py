@@ -13,10 +13,11 @@ from typing import Any, NoReturn
 
 import yaml
 
-from wbc.errors import Fault, SpecError, did_you_mean
+from ..errors import Fault, SpecError, did_you_mean
 
 KeyPath = tuple[str | int, ...]
-Finding = tuple[KeyPath, Fault]
+Message = tuple[KeyPath, str]  # where something is wrong, and what
+Mark = tuple[int, int]  # line and column, from 1
 
 MAX_BYTES = 256 * 1024
 MAX_DEPTH = 32
@@ -26,13 +27,10 @@ MAX_FAULTS = 100
 # libyaml is some twenty times faster; what it and the Python parser read differently is checked here, before and after
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]")
-_BREAK = re.compile("\r\n|\r|\n")
 
-_WORDS = {
-    word: value for value, words in {None: "~ null", True: "true", False: "false"}.items() for word in words.split()
-}
-_WORDS |= {form: value for word, value in _WORDS.items() for form in (word.title(), word.upper())} | {"": None}
-_INTEGER = re.compile("[-+]?[0-9]+")
+_WORDS: dict[str, bool | None] = {"": None, "~": None, "null": None, "Null": None, "NULL": None}
+_WORDS |= {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
+_INTEGER = re.compile("[-+]?[0-9]{1,18}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
@@ -41,7 +39,7 @@ def scalar(text: str) -> bool | int | float | str | None:
     """What a plain (unquoted) scalar means in YAML 1.2: 1e3 is a number; on, yes and 12:30 are texts; 010 is ten."""
     if text in _WORDS:
         return _WORDS[text]
-    if _INTEGER.fullmatch(text) and len(text) <= 18:
+    if _INTEGER.fullmatch(text):
         return int(text)
     if _FLOAT.fullmatch(text):
         return float(text)
@@ -67,48 +65,44 @@ class NoSuchKey(LookupError):
         super().__init__(message)
 
 
-def put(tree: Any, path: KeyPath, value: Any, sections: Collection[KeyPath] = ()) -> tuple[Any, KeyPath]:
+def put(
+    tree: Any, path: KeyPath, value: Any, sections: Collection[KeyPath] = (), above: KeyPath = ()
+) -> tuple[Any, KeyPath]:
     """A copy of the tree with one value changed, and the path with its list positions as integers.
 
     Every key but the last must be there, or be one of `sections`, which are made when absent.
     """
-    root = node = _copied(tree)
-    done: KeyPath = ()
-    for step, part in enumerate(path):
-        last = step == len(path) - 1
-        if isinstance(node, list):
-            place: Any = int(part) if re.fullmatch("[0-9]{1,5}", str(part)) else -1
-            if not 0 <= place < len(node):
-                raise NoSuchKey((*done, part), f"expected a position from 0 to {len(node) - 1}")
-        elif isinstance(node, dict):
-            place = part
-            if not last and place not in node:
-                if (*done, place) not in sections:
-                    raise NoSuchKey((*done, part), f"no such key{did_you_mean(str(part), map(str, node))}")
-                node[place] = {}
-        else:
-            raise NoSuchKey(done, f"is {node!r}, which has no keys of its own")
-        done = (*done, place)
-        node[place] = value if last else _copied(node[place])
-        node = node[place]
-    return root, done
-
-
-def _copied(node: Any) -> Any:
-    if isinstance(node, Mapping):
-        return dict(node)
-    return list(node) if isinstance(node, list | tuple) else node
+    if not path:
+        return value, above
+    place: Any = path[0]
+    here, copy = (
+        (*above, place),
+        dict(tree) if isinstance(tree, Mapping) else list(tree) if isinstance(tree, list | tuple) else tree,
+    )
+    if isinstance(copy, list):
+        place = int(place) if re.fullmatch("[0-9]{1,5}", str(place)) else -1
+        if not 0 <= place < len(copy):
+            raise NoSuchKey(here, f"expected a position from 0 to {len(copy) - 1}")
+    elif not isinstance(copy, dict):
+        raise NoSuchKey(above, f"is {printable(repr(tree))}, which has no keys of its own")
+    elif len(path) > 1 and place not in copy:
+        if here not in sections:
+            raise NoSuchKey(here, f"no such key{did_you_mean(str(place), map(str, copy))}")
+        copy[place] = {}
+    inner = copy[place] if len(path) > 1 else None
+    copy[place], done = put(inner, path[1:], value, sections, (*above, place))
+    return copy, done
 
 
 @dataclass(frozen=True)
 class Source:
-    """A tree and where it comes from: keys of a file by `marks` (line, column), values of `--set` by `origins`."""
+    """A tree and where it comes from: keys of a file by `marks`, values of `--set` by `origins`."""
 
     file: str = "spec"
     tree: Any = None
-    marks: Mapping[KeyPath, tuple[int, int]] = field(default_factory=dict)
+    marks: Mapping[KeyPath, Mark] = field(default_factory=dict)
     origins: Mapping[KeyPath, str] = field(default_factory=dict)
-    found: tuple[Finding, ...] = ()  # what was wrong but could be read past
+    found: tuple[Fault, ...] = ()  # what was wrong but could be read past
     blind: frozenset[KeyPath] = frozenset()  # where the value is not what was written; nothing more is said there
 
     def fault(self, path: KeyPath, message: str) -> Fault:
@@ -120,19 +114,20 @@ class Source:
                 return Fault(self.file, *mark, dotted(path), message)
         return Fault(self.file, 0, 0, dotted(path), message)
 
-    def where(self, path: KeyPath) -> tuple[int, int]:
-        fault = self.fault(path, "")
-        return fault.line, fault.column
-
-    def error(self, findings: Iterable[tuple[KeyPath, str]] = ()) -> SpecError:
+    def error(self, messages: Iterable[Message] = ()) -> SpecError:
         """Everything found while reading and afterwards, at most MAX_FAULTS of it."""
-        seen = [finding for finding in findings if not any(finding[0][: len(path)] == path for path in self.blind)]
-        faults = [fault for _, fault in self.found] + [self.fault(*finding) for finding in dict.fromkeys(seen)]
-        error = SpecError(faults)
-        if len(faults) <= MAX_FAULTS:
+        seen = [message for message in messages if not any(message[0][: len(path)] == path for path in self.blind)]
+        error = SpecError([*self.found, *(self.fault(*message) for message in dict.fromkeys(seen))])
+        if len(error.faults) <= MAX_FAULTS:
             return error
         shown = error.faults[:MAX_FAULTS]
         return SpecError([*shown, replace(shown[-1], key="", message="there are more faults, which are not shown")])
+
+    def whole(self) -> Source:
+        """The source, if nothing was wrong while reading it."""
+        if self.found:
+            raise self.error()
+        return self
 
     def override(self, text: str, sections: Collection[KeyPath] = ()) -> Source:
         """The source with one `key.path=value` applied; the value is a YAML scalar, [list] or {mapping}."""
@@ -141,31 +136,24 @@ class Source:
         path: KeyPath = tuple(key.split("."))
 
         def wrong(message: str, at: KeyPath = path) -> Source:
-            return replace(self, found=(*self.found, (at, Fault(label, 0, 0, dotted(at), message))))
+            return replace(self, found=(*self.found, Fault(label, 0, 0, dotted(at), message)))
 
         if not sign or not key:
             return wrong("expected key.path=value", ())
         if path[0] == "expect":
             return wrong("bounds cannot be changed from the command line; change them in the file")
         try:
-            tree = parse(value, label).whole().tree if value else None
+            given = parse(value, label).whole().tree
+            changed, path = put(self.tree, path, given, sections)
         except SpecError as error:
             return wrong(error.faults[0].message)
-        if isinstance(tree, dict | list) and value[0] not in "[{":
-            return wrong("expected a number, a text, [a list] or {a: mapping}")
-        try:
-            changed, path = put(self.tree, path, tree, sections)
         except NoSuchKey as missing:
             return wrong(missing.message, missing.path)
+        if isinstance(given, dict | list) and value[0] not in "[{":
+            return wrong("expected a number, a text, [a list] or {a: mapping}")
         marks = {place: mark for place, mark in self.marks.items() if place[: len(path)] != path}
         origins = {place: origin for place, origin in self.origins.items() if place[: len(path)] != path}
         return replace(self, tree=changed, marks=marks, origins=origins | {path: label})
-
-    def whole(self) -> Source:
-        """The source, if nothing was wrong while reading it."""
-        if self.found:
-            raise self.error()
-        return self
 
 
 @dataclass
@@ -174,7 +162,7 @@ class _Frame:
 
     path: KeyPath
     value: dict[str, Any] | list[Any]
-    key: str | None = None
+    key: str | None = None  # whose value comes next
     lines: dict[str, int] = field(default_factory=dict)
 
 
@@ -182,19 +170,16 @@ class _Tree:
     """Consumes parser events, one at a time."""
 
     def __init__(self, file: str) -> None:
-        self.file, self.root = file, None
-        self.marks: dict[KeyPath, tuple[int, int]] = {}
-        self.found: list[Finding] = []
+        self.file, self.root, self.count = file, None, 0
+        self.marks: dict[KeyPath, Mark] = {}
+        self.found: list[Fault] = []
         self.blind: set[KeyPath] = set()
         self.stack: list[_Frame] = []
-        self.documents = self.count = 0
 
     def add(self, event: yaml.Event) -> None:
         mark = _place(event.start_mark)
-        if isinstance(event, yaml.DocumentStartEvent):
-            self.documents += 1
-            if self.documents > 1:
-                self.stop(mark, "a second document begins here; a spec is one document")
+        if isinstance(event, yaml.DocumentStartEvent) and self.count:
+            self.stop(mark, "a second document begins here; a spec is one document")
         elif isinstance(event, yaml.CollectionEndEvent):
             self.stack.pop()
         elif isinstance(event, yaml.NodeEvent):
@@ -207,32 +192,30 @@ class _Tree:
             else:
                 self._value(event, mark, frame)
 
-    def stop(self, mark: tuple[int, int], message: str) -> NoReturn:
-        raise SpecError([*(fault for _, fault in self.found), Fault(self.file, *mark, "", message)])
+    def stop(self, mark: Mark, message: str) -> NoReturn:
+        raise SpecError([*self.found, Fault(self.file, *mark, "", message)])
 
-    def _report(self, path: KeyPath, mark: tuple[int, int], message: str) -> None:
-        self.found.append((path, Fault(self.file, *mark, dotted(path), message)))
+    def _report(self, path: KeyPath, message: str, mark: Mark, blind: bool = True) -> None:
+        self.found.append(Fault(self.file, *mark, dotted(path), message))
+        self.blind |= {path} if blind else set()
 
-    def _key(self, event: yaml.NodeEvent, mark: tuple[int, int], frame: _Frame) -> None:
+    def _key(self, event: yaml.NodeEvent, mark: Mark, frame: _Frame) -> None:
         if not isinstance(event, yaml.ScalarEvent):
             self.stop(mark, "expected a plain name as a key, got an alias, a list or a mapping")
         frame.key = key = event.value
         path = (*frame.path, key)
         if key == "<<":
-            self._report(path, mark, "merge keys are not supported; write the keys out")
-            self.blind.add(path)
+            self._report(path, "merge keys are not supported; write the keys out", mark)
         elif key in frame.lines:
-            self._report(path, mark, f"given twice; first on line {frame.lines[key]}")
+            self._report(path, f"given twice; first on line {frame.lines[key]}", mark, blind=False)
         frame.lines.setdefault(key, mark[0])
-        self.marks.setdefault(path, mark)
-        self._refuse_extras(event, path, mark)
+        self._enter(event, path, mark)
 
-    def _value(self, event: yaml.NodeEvent, mark: tuple[int, int], frame: _Frame | None) -> None:
+    def _value(self, event: yaml.NodeEvent, mark: Mark, frame: _Frame | None) -> None:
         path: KeyPath = ()
         if frame:
             path = (*frame.path, len(frame.value) if frame.key is None else frame.key)
-        self.marks.setdefault(path, mark)
-        self._refuse_extras(event, path, mark)
+        self._enter(event, path, mark)
         value: Any = None
         if isinstance(event, yaml.ScalarEvent):
             value = scalar(event.value) if event.implicit[0] and not event.style else event.value
@@ -249,27 +232,22 @@ class _Tree:
             frame.value.setdefault(frame.key or "", value)  # of a key given twice the first value stays
             frame.key = None
 
-    def _refuse_extras(self, event: yaml.NodeEvent, path: KeyPath, mark: tuple[int, int]) -> None:
+    def _enter(self, event: yaml.NodeEvent, path: KeyPath, mark: Mark) -> None:
+        """Remember the place of a key or value, and refuse what the subset leaves out."""
+        self.marks.setdefault(path, mark)
         if isinstance(event, yaml.AliasEvent):
-            self._report(path, mark, f"aliases (*{event.anchor}) are not supported; write the value out")
-            self.blind.add(path)
-            return
-        if event.anchor is not None:
-            self._report(path, mark, f"anchors (&{event.anchor}) are not supported")
-        if getattr(event, "tag", None) is not None:
-            self._report(
-                path, mark, f"tags ({printable(getattr(event, 'tag', ''))}) are not supported; write the plain value"
-            )
-            self.blind.add(path)
-        if isinstance(event, yaml.ScalarEvent) and (bad := _UNPRINTABLE.search(event.value)):
-            self._report(path, mark, f"control character {bad[0]!r} in a text")
-            self.blind.add(path)
+            self._report(path, f"aliases (*{event.anchor}) are not supported; write the value out", mark)
+        elif event.anchor is not None:
+            self._report(path, f"anchors (&{event.anchor}) are not supported", mark, blind=False)
+        if (tag := getattr(event, "tag", None)) is not None:
+            self._report(path, f"tags ({printable(tag)}) are not supported; write the plain value", mark)
+        if bad := _UNPRINTABLE.search(getattr(event, "value", "")):
+            self._report(path, f"control character {bad[0]!r} in a text", mark)
 
 
 def parse(data: bytes | str, file: str) -> Source:
     """Read one document. What cannot be read past raises SpecError; the rest stands in `found`."""
-    text = _text(data, file)
-    tree = _Tree(file)
+    tree, text = _Tree(file), _text(data, file)
     try:
         for event in yaml.parse(text, Loader=_LOADER):
             tree.add(event)
@@ -278,12 +256,10 @@ def parse(data: bytes | str, file: str) -> Source:
         tree.stop(_place(error.problem_mark), f"not readable as YAML: {error.problem}{begun}")
     except yaml.YAMLError as error:
         tree.stop((1, 1), f"not readable as YAML: {printable(str(error), 200)}")
-    if tree.root is None:
-        tree.stop((1, 1), "the file is empty; a spec needs at least the line `robot: NAME`")
     return Source(file, tree.root, tree.marks, {}, tuple(tree.found), frozenset(tree.blind))
 
 
-def _place(mark: Any) -> tuple[int, int]:
+def _place(mark: Any) -> Mark:
     return (mark.line + 1, mark.column + 1) if mark else (1, 1)
 
 
@@ -291,11 +267,11 @@ def _text(data: bytes | str, file: str) -> str:
     """Decoded and printable text, or a fault at the first byte that is neither."""
 
     def wrong(before: str, message: str) -> SpecError:
-        *lines, last = _BREAK.split(before)
+        *lines, last = re.split("\r\n|\r|\n", before)
         return SpecError([Fault(file, len(lines) + 1, len(last) + 1, "", message)])
 
     if len(data) > MAX_BYTES:
-        raise SpecError([Fault(file, 1, 1, "", f"larger than {MAX_BYTES // 1024} KiB, which no spec is")])
+        raise wrong("", f"larger than {MAX_BYTES // 1024} KiB, which no spec is")
     try:
         text = data if isinstance(data, str) else data.decode()
     except UnicodeDecodeError as error:

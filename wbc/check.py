@@ -1,0 +1,60 @@
+"""A spec looked over without running it: does it build, can the start pose be held, how stable are its force loops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .build import build
+from .controller import Controller, Phase, Status
+from .limit import TorqueLimit
+from .spec import Spec
+from .stability import Pole
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `check` found; faults of the input never get here, they raise SpecError."""
+
+    spec: str
+    model_error: float
+    feasible: bool
+    reason: str
+    poles: list[Pole]
+    damping_margins: dict[str, float]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        return self.feasible
+
+    def as_json(self) -> dict[str, Any]:
+        """The contract's object."""
+        return {
+            "spec": self.spec, "ok": self.ok, "faults": [], "model_error": self.model_error, "feasible": self.feasible,
+            "reason": self.reason, "poles": [pole._asdict() for pole in self.poles], "damping_margins": self.damping_margins,
+            "notes": self.notes,
+        }  # fmt: skip
+
+
+def check(spec: Spec) -> Report:
+    """Build the spec and solve its first tick. Raises SpecError with every fault located."""
+    built = build(spec)
+    # the start is judged with the torque that it needs, not with what the rate lets through in one tick
+    steady = [_without_rate(phase) for phase in built.phases[:1]]
+    controller = Controller(built.robot, solver=spec.solver, rate=spec.rate, phases=steady, q=built.q)
+    controller.reset(built.q, np.zeros(built.robot.nv))
+    out = controller.step(0.0, built.q, np.zeros(built.robot.nv))
+    feasible = out.status in (Status.OK, Status.LIMITED) and "yield" not in out.reason
+    return Report(
+        Path(spec.file).stem, built.robot.model_error, feasible, out.reason, built.poles, built.damping_margins, built.notes
+    )
+
+
+def _without_rate(phase: Phase) -> Phase:
+    limit = phase.torque
+    torque = TorqueLimit(limit.low, limit.high, np.full(limit.low.size, np.inf), limit.joints)
+    return Phase(phase.contacts, phase.tasks, phase.weights, torque, phase.joint, phase.name, phase.until)

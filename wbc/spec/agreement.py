@@ -1,0 +1,103 @@
+"""What must hold between the entries of a spec: the names that they refer to, gains and axes, what phases change.
+
+`left_out` are entries and sections with faults of their own; they are not in the spec, and nothing is said of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Set
+from itertools import chain, islice
+from typing import TYPE_CHECKING, Any
+
+from ..axes import WRENCH_AXES
+from ..errors import did_you_mean
+from .fields import shown
+from .source import MAX_FAULTS, KeyPath, Message, NoSuchKey, dotted, put
+from .task import ForceTask, MotionTask, PostureTask
+
+if TYPE_CHECKING:
+    from .document import Spec
+
+LeftOut = Set[KeyPath]
+SECTIONS: tuple[KeyPath, ...] = (("limits",), ("plant",), ("plant", "noise"))  # `--set` makes them when absent
+_IN_PHASES = ("contacts", "tasks", "limits", "references")
+
+
+def disagreements(spec: Spec, left_out: LeftOut, check: Callable[[Any, LeftOut], list[Message]]) -> list[Message]:
+    """At most MAX_FAULTS + 1 faults; `check` gives those of a changed tree."""
+    found = list(islice(chain(_of_contacts(spec, left_out), _of_tasks(spec, left_out)), MAX_FAULTS + 1))
+    phases = _of_phases(spec, left_out, lambda tree: [each for each in check(tree, left_out) if each not in found])
+    return found + list(islice(phases, MAX_FAULTS + 1 - len(found)))
+
+
+def _unknown(name: str, spec: Spec, section: str, left_out: LeftOut) -> str | None:
+    known: Mapping[str, Any] = getattr(spec, section)
+    if name in known or (section,) in left_out or (section, name) in left_out:
+        return None
+    return f"no {section[:-1]} named {shown(name)}{did_you_mean(name, known)}"
+
+
+def _of_contacts(spec: Spec, left_out: LeftOut) -> Iterator[Message]:
+    for name, contact in spec.contacts.items():
+        for axis, target in contact.targets.items():
+            if isinstance(target, str) and (message := _unknown(target, spec, "references", left_out)):
+                under = ("wrench",) if axis in WRENCH_AXES and contact.natural is None else ()
+                yield ("contacts", name, "artificial", *under, axis), message
+
+
+def _of_tasks(spec: Spec, left_out: LeftOut) -> Iterator[Message]:
+    forced: dict[str, str] = {}  # contact -> its force task
+    for name, task in spec.tasks.items():
+        if isinstance(task, PostureTask):
+            continue
+        for key, message in _of_task(task, spec, left_out):
+            yield ("tasks", name, key), message
+        if isinstance(task, ForceTask) and (first := forced.setdefault(task.contact, name)) != name:
+            message = f"contact {task.contact!r} already has the force task {first!r}"
+            yield ("tasks", name, "contact"), message
+
+
+def _of_task(task: ForceTask | MotionTask, spec: Spec, left_out: LeftOut) -> Iterator[tuple[str, str]]:
+    for key, section, name in (
+        ("target", "references", getattr(task, "target", None)),
+        ("contact", "contacts", task.contact),
+    ):
+        if name is not None and (message := _unknown(name, spec, section, left_out)):
+            yield key, message
+    axes: tuple[str, ...] | None = None  # None: the spec alone does not tell
+    if contact := spec.contacts.get(task.contact or ""):
+        axes = contact.gain_names(task.type)
+        if not (contact.wrench_targets if task.type == "force" else contact.motion_targets):
+            yield "contact", f"contact {task.contact!r} has no {task.type} target in its `artificial`"
+    elif isinstance(task, MotionTask) and task.contact is None and task.axes != "all":
+        axes = task.axes
+    for key in ("kp", "ki", "damping") if isinstance(task, ForceTask) else ("kp", "kd"):
+        gain = getattr(task, key)
+        if axes is not None and isinstance(gain, tuple) and len(gain) != len(axes):
+            expected = "numbers" if isinstance(gain[0], float) else "rows"
+            yield key, f"expected {len(axes)} {expected} ({', '.join(axes)}), got {len(gain)}"
+
+
+def _of_phases(spec: Spec, left_out: LeftOut, check: Callable[[Any], list[Message]]) -> Iterator[Message]:
+    tree = spec.model_dump(by_alias=True, exclude_unset=True, exclude={"phases", "expect"})
+    for name, phase in spec.phases.items():
+        path: KeyPath = ("phases", name)
+        if phase.until is None and name != list(spec.phases)[-1]:
+            yield (*path, "until"), "is missing; only the last phase may go on without an end"
+        changed: Any = tree
+        places: dict[KeyPath, str] = {}
+        for key, value in phase.set.items():
+            parts: KeyPath = tuple(key.split("."))
+            if parts[:1] in left_out or parts[:2] in left_out:
+                continue
+            try:
+                if parts[0] not in _IN_PHASES:
+                    raise NoSuchKey(parts, f"a phase can change {', '.join(_IN_PHASES)} only")
+                changed, place = put(changed, parts, value, SECTIONS)
+                places[place] = key
+            except NoSuchKey as missing:
+                yield (*path, "set", key), f"{dotted(missing.path)}: {missing.message}"
+        for at, message in check(changed) if places else ():
+            key = next((key for place, key in places.items() if at[: len(place)] == place), "")
+            tail = message if tuple(key.split(".")) == at else f"{dotted(at)}: {message}"
+            yield (*path, "set", *([key] if key else [])), tail

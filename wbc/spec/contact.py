@@ -1,0 +1,163 @@
+"""How the world holds a frame of the robot: the book's table (11.6), free screws, held axes, or a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, Field, Tag
+
+from ..axes import RECIPROCAL, VELOCITY_AXES, WRENCH_AXES
+from ..errors import did_you_mean
+from .fields import Axes, Axis, Model, Name, Named, Number, OneOf, Target, Text, Vec3, WrenchAxis, either, shown, wrong
+from .source import Message
+
+
+class Screw(Model):
+    """A screw axis."""
+
+    axis: Annotated[
+        Annotated[Literal["x", "y", "z"], Tag("<name>")] | Annotated[Vec3, Tag("<list>")],
+        either("x, y, z or a list of three numbers"),
+    ] = Field(description="direction, in the axes of the frame that it passes through")
+    through: Text = Field(default="self", description="frame that the axis passes through; self: the contact frame")
+    pitch: Number = Field(default=0.0, description="advance per angle [m/rad]")
+
+    def _faults(self) -> Iterable[Message]:
+        if not isinstance(self.axis, str) and not any(self.axis):
+            yield ("axis",), "expected a direction, got the zero vector"
+
+
+class FreeMotion(Model):
+    """One motion that the contact leaves free."""
+
+    screw: Screw = Field(description="the screw axis of the motion")
+
+
+def _zero(value: float) -> float:
+    if value != 0:
+        raise wrong(
+            f"expected 0, as the natural constraints are A V = 0 and no wrench along what is free, got {value:g}"
+        )
+    return value
+
+
+Zero = Annotated[Number, AfterValidator(_zero)]
+Row = Annotated[tuple[Number, ...], Named("wx, wy, wz, vx, vy, vz")]
+Artificial = Annotated[
+    Annotated[Number, Tag("<number>")]
+    | Annotated[Text, Tag("<name>")]
+    | Annotated[dict[WrenchAxis, Target], Tag("<map>")],
+    either("a number or the name of a reference"),
+]
+
+
+class Contact(OneOf):
+    """How the world holds a frame of the robot, by exactly one of natural, free, holds and A."""
+
+    kinds: ClassVar = ("natural", "free", "holds", "A")
+
+    frame: Text = Field(description="the name of the frame of the robot or tool that is held")
+    on: Text | None = Field(
+        default=None, description="frame of the scene that it closes against; the contact's own name if left out"
+    )
+    in_: Literal["frame", "on"] = Field(default="frame", alias="in", description="whose axes the rows of A are along")
+    natural: dict[Axis, Zero] | None = Field(
+        default=None,
+        description="natural constraints: velocities [rad/s, m/s] and wrenches [N m, N] that the contact keeps at 0",
+    )
+    free: dict[Name, FreeMotion] | None = Field(default=None, description="free screws, of which A is the annihilator")
+    holds: Axes | None = Field(default=None, description="velocity axes that are held, or all")
+    A: tuple[Row, ...] | None = Field(default=None, max_length=6, description="rows of A V = 0, angular part first")
+    artificial: dict[str, Artificial] = Field(
+        default={}, description="targets: velocities [rad/s, m/s], wrenches on the environment [N m, N], or references"
+    )
+
+    @property
+    def constrained(self) -> tuple[str, ...]:
+        """Velocity axes at rest, in canonical order; empty for `free` and `A`, whose rows lie along no axes."""
+        held: Iterable[str] = VELOCITY_AXES if self.holds == "all" else self.holds or self.natural or ()
+        return tuple(axis for axis in VELOCITY_AXES if axis in held)
+
+    @property
+    def free_axes(self) -> tuple[str, ...]:
+        """Velocity axes that can move, in canonical order; the names of the screws for `free`; empty for `A`."""
+        if self.natural is not None:
+            return tuple(axis for axis in VELOCITY_AXES if RECIPROCAL[axis] in self.natural)
+        return tuple(self.free or ()) or tuple(a for a in VELOCITY_AXES if self.holds and a not in self.constrained)
+
+    @property
+    def force_axes(self) -> tuple[str, ...]:
+        """Wrench axes of the constrained velocities."""
+        return tuple(RECIPROCAL[axis] for axis in self.constrained)
+
+    @property
+    def wrench_targets(self) -> dict[str, float | str]:
+        """Desired wrench on the environment by wrench axis [N m, N], in canonical order."""
+        column = self.artificial if self.natural is not None else self.artificial.get("wrench", {})
+        given: Mapping[Any, Any] = column if isinstance(column, dict) else {}
+        return {axis: given[axis] for axis in WRENCH_AXES if not isinstance(given.get(axis, {}), dict)}
+
+    @property
+    def motion_targets(self) -> dict[str, float | str]:
+        """Desired motion by free velocity axis or screw [rad/s, m/s, or a reference]."""
+        entries = {name: value for name, value in self.artificial.items() if not isinstance(value, dict)}
+        order = dict.fromkeys([*self.free_axes, *entries])
+        return {name: entries[name] for name in order if name in entries and name not in WRENCH_AXES}
+
+    @property
+    def targets(self) -> dict[str, float | str]:
+        return self.motion_targets | self.wrench_targets
+
+    def gain_names(self, task: str) -> tuple[str, ...] | None:
+        """What the entries of a gain of a force or motion task stand for; None where only the robot can tell."""
+        if task == "force":
+            rows = tuple(f"row {i}" for i in range(len(self.A or ())))
+            return rows or (self.force_axes if self.holds != "all" and self.free is None else None)
+        return self.free_axes if self.natural is not None or self.free is not None else None
+
+    def _faults(self) -> Iterable[Message]:
+        return list(super()._faults()) or (self._table() if self.kind == "natural" else self._entries())
+
+    def _table(self) -> Iterator[Message]:
+        """Of every pair that the table names: one natural and one artificial entry, reciprocal (book 11.6)."""
+        natural, artificial = self.natural or {}, self.artificial
+        for name in artificial:
+            if name not in RECIPROCAL:
+                yield ("artificial", name), f"unknown axis{did_you_mean(name, RECIPROCAL)}"
+            elif isinstance(artificial[name], dict):
+                yield ("artificial", name), "expected a number or the name of a reference, got a mapping"
+        for pair in zip(VELOCITY_AXES, WRENCH_AXES, strict=True):
+            left = [axis for axis in natural if axis in pair]
+            right = [axis for axis in artificial if axis in pair]
+            rule = f"of {pair[0]} and {pair[1]} one is natural and the other artificial"
+            if len(left) == 2:
+                yield ("natural", left[1]), f"{left[0]} and {left[1]} are both natural; {rule}"
+            elif len(right) == 2:
+                yield ("artificial", right[1]), f"{right[0]} and {right[1]} are both artificial; {rule}"
+            elif left and not right:
+                lost = RECIPROCAL[left[0]]
+                yield ("artificial", lost), f"{lost} is missing; natural {left[0]} needs its artificial entry"
+            elif right and not left:
+                lost = RECIPROCAL[right[0]]
+                yield ("natural", lost), f"{lost} is missing; artificial {right[0]} needs its natural entry"
+            elif left and left == right:
+                yield ("artificial", right[0]), f"{left[0]} is both natural and artificial; {rule}"
+
+    def _entries(self) -> Iterator[Message]:
+        """Targets of `free`, `holds` and `A`: free motions by name, forces under `wrench`."""
+        names = self.free_axes if self.A is None else VELOCITY_AXES
+        for name, value in self.artificial.items():
+            if name == "wrench" and not isinstance(value, dict):
+                yield ("artificial", name), f"expected a mapping from wrench axes to targets, got {shown(value)}"
+            elif name != "wrench" and isinstance(value, dict):
+                yield ("artificial", name), "expected a number or the name of a reference, got a mapping"
+            elif name in self.constrained:
+                yield ("artificial", name), f"{name} is held, so it has no target of motion"
+            elif name != "wrench" and name not in names:
+                yield ("artificial", name), f"no such free motion{did_you_mean(name, (*names, 'wrench'))}"
+        if "wrench" in (self.free or ()):
+            yield ("free", "wrench"), "this word is taken by the forces in `artificial`; expected another name"
+        for axis in self.wrench_targets:
+            if self.holds and RECIPROCAL[axis] not in self.constrained:
+                yield ("artificial", "wrench", axis), f"{RECIPROCAL[axis]} is free, so {axis} cannot be held at a value"

@@ -1,0 +1,120 @@
+"""What bounds a run: hard limits of the joints, phases, what only the simulator knows, and what a run must hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, Strict, Tag
+
+from .fields import Model, NonNegative, Number, Positive, Text, either, shape
+from .source import Message
+
+
+class Scale(Model):
+    """A fraction of the model's own limits."""
+
+    scale: Positive = Field(le=1, description="fraction of the model's limit [1]")
+
+
+class Margin(Model):
+    """A distance that is kept from the model's own limits."""
+
+    margin: NonNegative = Field(description="distance from the model's limits [rad]")
+
+
+def _limit(value: Any) -> str | None:
+    return "<scale>" if isinstance(value, Scale) or (isinstance(value, Mapping) and "scale" in value) else shape(value)
+
+
+OfModel = Annotated[Literal["model"], Tag("<name>")]
+Joints = (
+    Annotated[Positive, Tag("<number>")]
+    | Annotated[tuple[Positive, ...], Field(min_length=1), Tag("<list>")]
+    | Annotated[dict[Text, Positive], Tag("<map>")]
+)
+Limit = Annotated[
+    OfModel | Joints | Annotated[Scale, Tag("<scale>")], either("model, a number, a list, or a mapping", _limit)
+]
+RateLimit = Annotated[Joints, either("a number, a list, or a mapping from joints to numbers")]
+PositionLimit = Annotated[OfModel | Annotated[Margin, Tag("<map>")], either("model or a mapping with margin")]
+
+
+class Limits(Model):
+    """Hard limits, the same for all joints, a list, by joint, or of the model."""
+
+    torque: Limit = Field(default="model", description="joint torque [N m]")
+    torque_rate: RateLimit | None = Field(default=None, description="change of the joint torque [N m/s]")
+    position: PositionLimit | None = Field(default=None, description="joint position [rad]")
+    velocity: Limit | None = Field(default=None, description="joint velocity [rad/s]")
+
+
+class Until(Model):
+    """What ends a phase."""
+
+    time: Positive = Field(description="time since the phase began [s]")
+
+
+class Phase(Model):
+    """A stretch of time with values of its own; what `set` does not name is as without phases."""
+
+    set: dict[str, Number] = Field(default={}, description="dotted key -> number, for this phase alone")
+    until: Until | None = Field(default=None, description="what ends the phase; the last one may go on")
+
+
+class Noise(Model):
+    """Standard deviations of white noise on what the controller measures."""
+
+    force: NonNegative = Field(default=0.0, description="measured force [N]")
+    moment: NonNegative = Field(default=0.0, description="measured moment [N m]")
+    position: NonNegative = Field(default=0.0, description="joint position [rad]")
+    velocity: NonNegative = Field(default=0.0, description="joint velocity [rad/s]")
+
+
+class Plant(Model):
+    """What only the simulator knows."""
+
+    payload: NonNegative = Field(default=0.0, description="mass added at the tool [kg]")
+    mass_error: Number = Field(default=0.0, gt=-0.5, lt=1, description="fraction added to every link's mass [1]")
+    joint_friction: NonNegative = Field(default=0.0, description="Coulomb friction of every joint [N m]")
+    contact_friction: NonNegative = Field(default=0.0, description="friction coefficient of the contacts [1]")
+    armature: NonNegative | None = Field(
+        default=None, description="rotor inertia of every joint; else the model's [kg m^2]"
+    )
+    delay: Annotated[int, Strict()] = Field(default=0, ge=0, le=1000, description="extra delay of the torque [ticks]")
+    noise: Noise = Field(default_factory=Noise, description="measurement noise, standard deviations")
+
+
+class Bound(Model):
+    """Bounds on a metric."""
+
+    min: Number | None = Field(default=None, description="lower bound, in the unit of the metric")
+    max: Number | None = Field(default=None, description="upper bound, in the unit of the metric")
+    for_: Positive | None = Field(default=None, alias="for", description="how long it must hold without a break [s]")
+
+    def _faults(self) -> Iterable[Message]:
+        if self.min is None and self.max is None:
+            yield (), "expected min, max or both"
+        if self.min is not None and self.max is not None and self.min > self.max:
+            yield ("min",), f"expected at most max = {self.max:g}, got {self.min:g}"
+
+
+Bounded = Annotated[
+    Annotated[Number, Tag("<number>")] | Annotated[Bound, Tag("<map>")],
+    either("a number (an upper bound) or a mapping with min or max"),
+]
+
+
+class Expect(Model):
+    """Bounds on metrics; a number is an upper bound."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Bounded] = Field(init=False)
+
+    settle: NonNegative = Field(default=0.0, description="time at the start that is left out of the figures [s]")
+
+    @property
+    def bounds(self) -> dict[str, Bound]:
+        """Metric name -> its bounds."""
+        extra: Mapping[str, float | Bound] = self.__pydantic_extra__ or {}
+        return {name: bound if isinstance(bound, Bound) else Bound(max=bound) for name, bound in extra.items()}

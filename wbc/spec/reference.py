@@ -1,0 +1,80 @@
+"""Desired motions over time, in a frame of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, ClassVar
+
+from pydantic import Field
+
+from .fields import Model, Named, NonNegative, Number, OneOf, Positive, Size2, Text, Vec2, Vec3
+from .source import Message
+
+Waypoint = Annotated[tuple[Number, ...], Named("x, y, z", "x, y, z, rx, ry, rz")]
+
+
+class Curve(Model):
+    in_: Text = Field(default="world", alias="in", description="frame of the scene in which the reference is given")
+
+
+class Hold(Curve):
+    """Stay where the motion starts."""
+
+
+class Line(Curve):
+    """A straight line, from rest to rest."""
+
+    from_: Vec3 = Field(alias="from", description="first point [m]")
+    to: Vec3 = Field(description="last point [m]")
+    time: Positive = Field(description="duration [s]")
+
+
+class Circle(Curve):
+    """A circle in the x-y plane of the frame."""
+
+    radius: Positive = Field(description="radius [m]")
+    period: Positive = Field(description="time of one turn [s]")
+    center: Vec2 = Field(default=(0.0, 0.0), description="centre in the plane [m]")
+    ease: NonNegative = Field(default=1.0, description="time in which the path gets up to speed from rest [s]")
+
+
+class Lissajous(Curve):
+    """Two sines, along x and y of the frame."""
+
+    size: Size2 = Field(description="amplitudes along x and y [m]")
+    period: Size2 = Field(description="periods along x and y [s]")
+    phase: Vec2 = Field(default=(0.0, 0.0), description="phases along x and y [rad]")
+    ease: NonNegative = Field(default=1.0, description="time in which the path gets up to speed from rest [s]")
+
+
+class Quintic(Curve):
+    """Quintic polynomials through way points, from rest to rest."""
+
+    waypoints: tuple[Waypoint, ...] = Field(
+        min_length=2, description="points x, y, z [m], or with a rotation vector rx, ry, rz [rad]"
+    )
+    times: tuple[NonNegative, ...] = Field(description="time of each way point, increasing [s]")
+
+    def _faults(self) -> Iterable[Message]:
+        if len(self.times) != len(self.waypoints):
+            yield ("times",), f"expected {len(self.waypoints)} times, one a way point, got {len(self.times)}"
+        for i, (before, time) in enumerate(zip(self.times, self.times[1:], strict=False), 1):
+            if time <= before:
+                yield ("times", i), f"expected a time after {before:g} s, got {time:g}"
+
+
+class Reference(OneOf):
+    """A desired motion over time: exactly one kind."""
+
+    kinds: ClassVar = ("hold", "line", "circle", "lissajous", "quintic")
+
+    hold: Hold | None = Field(default=None, description="stay where the motion starts")
+    line: Line | None = Field(default=None, description="a straight line from rest to rest")
+    circle: Circle | None = Field(default=None, description="a circle in the x-y plane")
+    lissajous: Lissajous | None = Field(default=None, description="two sines, along x and y")
+    quintic: Quintic | None = Field(default=None, description="quintic polynomials through way points")
+
+    @property
+    def curve(self) -> Hold | Line | Circle | Lissajous | Quintic:
+        curve: Hold | Line | Circle | Lissajous | Quintic = getattr(self, self.kind)
+        return curve
