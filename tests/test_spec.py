@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from wbc.errors import SpecError
+from wbc.errors import Fault, SpecError
 from wbc.resources import find_file, shipped, shipped_folder, shipped_names
 from wbc.spec import Bound, Lissajous, MotionTask, PostureTask, Scale, Spec, json_schema, load, source
 
@@ -50,12 +51,13 @@ def faults(tmp_path: Path, text: str | bytes, *overrides: str) -> list[tuple[int
     begun = time.perf_counter()
     try:
         load(file, overrides)
-        found = []
+        wrong: tuple[Fault, ...] = ()
     except SpecError as error:
-        assert all(fault.file == str(file) or fault.file.startswith("--set ") for fault in error.faults)
-        assert all(str(fault).isprintable() for fault in error.faults)
-        found = [(fault.line, fault.column, fault.key, fault.message) for fault in error.faults]
-        assert [place[:2] for place in found] == sorted(place[:2] for place in found)
+        wrong = error.faults
+    assert all(fault.file == str(file) or fault.file.startswith("--set ") for fault in wrong)
+    assert all(str(fault).isprintable() for fault in wrong)
+    found = [(fault.line, fault.column, fault.key, fault.message) for fault in wrong]
+    assert [place[:2] for place in found] == sorted(place[:2] for place in found)
     assert time.perf_counter() - begun < 1
     return found
 
@@ -478,6 +480,24 @@ def test_missing_file(name: str, message: str) -> None:
     assert message in fault.message
 
 
+def test_only_a_regular_file_is_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.yaml")
+    for name in (tmp_path, tmp_path / "pipe.yaml", Path(os.devnull)):
+        with pytest.raises(SpecError, match="is not a regular file"):
+            load(name)
+
+
+@pytest.mark.parametrize("text", ["secret", "secret: [1", "secret: *secret", "- secret", "a: 1\na: 2\n", "se\x07cret"])
+def test_a_file_that_may_be_no_spec_is_not_quoted(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "shadow"
+    file.write_text(text)
+    with pytest.raises(SpecError, match="shadow: not readable as a YAML mapping; name the file") as caught:
+        load(file)
+    assert "secret" not in str(caught.value)
+    file.write_text(ERASER)
+    assert load(file).model_dump() == load("eraser").model_dump()
+
+
 # --- What is accepted ------------------------------------------------------------------------------------------------
 
 
@@ -606,6 +626,7 @@ def test_without_a_file_there_is_no_place() -> None:
 
 def test_overrides_come_before_the_checks() -> None:
     spec = load("eraser", ["tasks.press.kp=0.2", "tasks.press.damping.2=400", "tool=", "tasks.draw.weight=2"])
+    assert load("eraser", ["tool=null"]).tool is None
     assert (spec.tasks["press"].kp, spec.tasks["press"].damping, spec.tool) == (0.2, (5, 5, 400), None)
     assert spec.tasks["draw"].weight == 2
     assert load("eraser", {"plant.noise.force": "0.5"}).plant.noise.force == 0.5  # these sections need not be there

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +25,7 @@ from .task import ForceLoop, ForceTask, MotionTask, PostureTask, Task
 from .wrench import VELOCITY_AXES, Wrench
 
 _NEW_LOOP = ForceLoop()
+_NONE: Mapping[str, Any] = {}  # never written to
 HOLD_TICKS = 5  # ticks without a certified answer before the safe hold
 GOOD_TICKS = 10  # certified ticks in a row until the status is OK again
 MISSED_DEGRADED, MISSED_STOPPED = 3, 20
@@ -65,9 +65,9 @@ class Memory(NamedTuple):
     gravity: Array = np.zeros(0)  # g(q) of the last tick [N m]
     q: Array = np.zeros(0)
     v: Array = np.zeros(0)
-    lam: Mapping[str, Array] = MappingProxyType({})  # last certified multipliers
-    loops: Mapping[str, ForceLoop] = MappingProxyType({})
-    targets: Mapping[str, float] = MappingProxyType({})
+    lam: Mapping[str, Array] = _NONE  # last certified multipliers
+    loops: Mapping[str, ForceLoop] = _NONE
+    targets: Mapping[str, float] = _NONE
     status: Status = Status.OK
     bad: int = 0
     good: int = GOOD_TICKS
@@ -151,7 +151,9 @@ class Controller:
         self.notes: list[str] = []
         phases = [self._without_idle_posture(phase, start) for phase in phases]
         self._phases = [_Structure(phase, State(robot, self._data, start.q, start.v)) for phase in phases]
+        self._workspace = self._phases[0].strict
         self._memory: Memory | None = None
+        self.start = start.q  # the configuration that the tasks and contacts were built at
         self.state = start
 
     @classmethod
@@ -216,6 +218,11 @@ class Controller:
     def phase(self) -> Phase:
         """The phase of the last tick."""
         return self._phases[self._memory.phase if self._memory else 0].phase
+
+    @property
+    def workspace(self) -> Workspace:
+        """Holds the last problem until the next tick; an answer's torque is `product("torque", x) + state.h`."""
+        return self._workspace
 
     def reset(self, q: Array, v: Array, tau: Array | None = None) -> None:
         """Start, or start again, at a state; `tau` is what the driver was last sent (default: what holds gravity).
@@ -342,6 +349,7 @@ class Controller:
         hard = [contact.rows(name, state.contacts[name]) for name, contact in phase.contacts.items()]
         hard.append(torque_map(state).rows(*bounds))
         joint = phase.joint.rows(state.q, state.v, self.dt) if phase.joint is not None else None
+        self._workspace = strict
         fault = fill(strict, costs, hard if joint is None else [*hard, joint])
         if fault:
             return _refused(fault), False
@@ -351,7 +359,8 @@ class Controller:
         # nothing satisfies all: joint viability yields, never dynamics, torque or its rate
         zero = np.zeros(self.robot.nv)
         spring = Rows("", {"yield": None}, zero, zero, np.diag(state.M.diagonal()))
-        fill(structure.yielding, [*costs, (spring, 1e4)], [*hard, joint._replace(A={"vdot": None, "yield": None})])
+        self._workspace = structure.yielding
+        fill(structure.yielding, [*costs, (spring, 1e6)], [*hard, joint._replace(A={"vdot": None, "yield": None})])
         return answer(self._second, structure.yielding.problem), True
 
     def _costs(self, structure: _Structure, state: State) -> list[tuple[Rows, float]]:
@@ -396,8 +405,8 @@ class Controller:
         slices = workspace.variables.slices
         tau = workspace.product("torque", solution.x)
         tau += state.h
-        np.maximum(tau, bounds[0], tau)  # the certificate's tolerance must not reach the motors
-        np.minimum(tau, bounds[1], tau)
+        np.maximum(tau, bounds[0], out=tau)  # the certificate's tolerance must not reach the motors
+        np.minimum(tau, bounds[1], out=tau)
         wrenches, loops, lam = {}, dict(memory.loops), {}
         for name, held in state.contacts.items():
             lam[name] = solution.x[slices[name]]
@@ -417,7 +426,7 @@ class Controller:
         by_robot = self.robot.gravity == "robot"
         gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
-            memory.t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q, state.v, lam, loops,
+            memory.t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
             state.targets, status, 0, good,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
@@ -484,7 +493,7 @@ def fill(workspace: Workspace, costs: Sequence[tuple[Rows, float]], hard: Sequen
 
 
 def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, JointLimit | None]:
-    """Limits from `torque`, `torque_rate`, `position`, `velocity`: "model", a number, (nv,), or None; never wider than the model."""
+    """Limits from `torque`, `torque_rate`, `position`, `velocity`: "model", a number or (nv,) within it, or None for none."""
     n = robot.nv
 
     def value(name: str, model: Array) -> Array:
@@ -500,8 +509,10 @@ def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, J
 
     free = np.full(n, np.inf)
     high = value("torque", np.minimum(robot.tau_max, -robot.tau_min))
-    low = np.maximum(robot.tau_min, -high)
-    high = np.minimum(robot.tau_max, high)
+    if limits.get("torque", "model") is not None:
+        low, high = np.maximum(robot.tau_min, -high), np.minimum(robot.tau_max, high)
+    else:
+        low = -high
     rate = value("torque_rate", free)
     torque = TorqueLimit(low, high, rate, robot.joints)
     position, v_max = limits.get("position", "model"), value("velocity", robot.v_max)

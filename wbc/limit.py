@@ -1,8 +1,15 @@
 """Limits of torque, its rate, and of joint position and velocity, as rows.
 
 Torque and its rate bound the affine torque map. Position and velocity bound `vdot` such that the joint can always
-brake in time: the braking model has a constant deceleration `a` and a constant jerk `j`, the torque rate over the
-joint's inertia, so that a joint at speed v needs the distance  v^2 / (2 a) + v a / j  to stop.
+brake in time with a deceleration `a` that builds up at a jerk `j`. With d [rad] the room to the edge and v the speed
+towards it, a state is kept where
+
+    v <= w(d) = sqrt(l^2 + 2 a d) - l,     l = 2 a^2 / j        a joint that follows w brakes with at most a
+    vdot <= m(w - v) - w'(d) v,     m(e) = sqrt(c^2 + j e) - c,     c = j T / 2
+
+and where vdot <= m(v_max - v). The second line keeps the gap e = w - v from ever closing (de/dt >= -m(e)), and spends
+half of the jerk on it; the bend of w takes less than the other half. Near the edge both end exponentially, m with the
+time constant T, so that a joint that is pressed into its limit comes to rest there.
 """
 
 from __future__ import annotations
@@ -13,6 +20,8 @@ import numpy as np
 
 from .qp import Array, Rows
 from .robot import Robot
+
+SETTLE = 0.01  # T [s]
 
 
 @dataclass(frozen=True)
@@ -52,42 +61,72 @@ class JointLimit:
     """Position and velocity limits that the joint can always brake to meet.
 
     q, v are (nv,) [rad, rad/s]; `a` [rad/s^2] the braking deceleration, `j` [rad/s^3] its build-up; all per joint.
+    Infinite limits bind nothing.
     """
 
     def __init__(self, q_min: Array, q_max: Array, v_max: Array, a: Array, j: Array, joints: tuple[str, ...]) -> None:
         both = np.concatenate
-        self._edge, self._v_max = both((q_max, -q_min)), both((v_max, v_max))
-        self.a, self.j, self.joints = both((a, a)), both((j, j)), joints
-        self.n = v_max.size
-        self._lead = self.a * self.a / self.j  # [rad/s] speed that is lost on the deceleration's build-up
-        # farther than this from the edge, position asks nothing of a speed below its limit
-        self._far = self._v_max * (self._v_max + 2.0 * self._lead) / (2.0 * self.a)
+        self.n, self.joints = v_max.size, joints
+        self._sides = np.concatenate((np.eye(self.n), -np.eye(self.n)))  # towards the upper, then the lower edge
+        self._edge, self._v_max, self.j = both((q_max, -q_min)), both((v_max, v_max)), both((j, j))
+        # the distance to stop from v_max, v^2 / (2 a) + 2 v a / j, is shortest at this deceleration
+        self.a = np.minimum(both((a, a)), 0.5 * np.sqrt(self._v_max * self.j))
+        self._lead = np.maximum(2.0 * self.a * self.a / self.j, self.a * SETTLE)  # [rad/s] l, w'(0) <= 1/T
+        self._lead2 = self._lead * self._lead
+        self._soft = 0.5 * SETTLE * self.j  # [rad/s^2] c
+        self._soft2 = self._soft * self._soft
+        self._far = self._asks_from()
 
-    def viable_speed(self, q: Array, room: Array | None = None) -> Array:
-        """(2 nv,) the largest speed towards the upper, then the lower edge from which the joint stops in time."""
-        room = self._edge - np.concatenate((q, -q)) if room is None else room
-        speed = np.sqrt(self._lead * self._lead + 2.0 * self.a * np.maximum(room, 0.0)) - self._lead
-        return np.minimum(speed, self._v_max)
+    def _asks_from(self) -> Array:
+        """(2 nv,) room [rad] beyond which position asks nothing, at any speed, that velocity does not ask."""
+        far = np.full(2 * self.n, np.inf)
+        for i in np.flatnonzero(np.isfinite(self._v_max)):
+            top = self._v_max[i]
+            w = top * np.linspace(1.0, 9.0, 161)[:, None]
+            v = top * np.linspace(0.0, 1.0, 21)
+            position, velocity = (np.sqrt(self._soft2[i] + self.j[i] * gap) - self._soft[i] for gap in (w - v, top - v))
+            free = (position - self.a[i] * v / (w + self._lead[i]) >= velocity).all(axis=1)
+            if free.any():
+                first = w[free.argmax(), 0]
+                far[i] = first * (first + 2.0 * self._lead[i]) / (2.0 * self.a[i])
+        return np.where(np.isfinite(self._edge), far, -np.inf)
+
+    def _curve(self, room: Array) -> tuple[Array, Array]:
+        """w(d) [rad/s] and w'(d) [1/s]; beyond the edge w asks the joint to come back, slowly."""
+        root = np.sqrt(self._lead2 + 2.0 * self.a * np.maximum(room, 0.0))
+        slope = self.a / root
+        return root - self._lead + np.maximum(np.minimum(room, 0.0) * slope, -0.2 * self._lead), slope
+
+    def _closing(self, gap: Array) -> Array:
+        """m(e), and for a gap that is overstepped a return with the time constant T."""
+        return np.minimum(np.sqrt(self._soft2 + self.j * np.maximum(gap, 0.0)) - self._soft, gap / SETTLE)
+
+    def viable_speed(self, q: Array) -> Array:
+        """(2 nv,) the largest speed towards the upper, then the lower edge from which the joint stops in time.
+
+        It holds for a joint that does not accelerate yet: m(w - v) = w' v.
+        """
+        w, slope = self._curve(self._edge - self._sides.dot(q))
+        w = np.maximum(w, 0.0)
+        b = slope * self._soft + 0.5 * self.j
+        reach = np.where(np.isfinite(w), w, 0.0)
+        speed = self.j * reach / (b + np.sqrt(b * b + self.j * reach * slope * slope))
+        return np.minimum(np.where(np.isfinite(w), speed, np.inf), self._v_max)
 
     def rows(self, q: Array, v: Array, dt: float) -> Rows:
         """Bounds on vdot [rad/s^2] under which the next state is viable."""
         n = self.n
-        speed = np.concatenate((v, -v))
-        ahead = q + dt * v
-        room = self._edge - np.concatenate((ahead, -ahead))
-        near = (room - self._far).min() < 0.0
-        allowed = self.viable_speed(q, room) if near else self._v_max
-        spare = allowed - speed
-        ramp = self.j * dt
-        most = np.sqrt(ramp * ramp + 2.0 * self.j * np.maximum(spare, 0.0)) - ramp
-        if near or spare.min() < 0.0:
-            # beyond the bound: brake with all that the model has, and no more than one tick needs
-            most = np.where(spare >= 0.0, most, np.maximum(spare / dt, -self.a))
-            # what the bound on speed itself loses while the joint moves towards the edge
-            closing = self.a * np.maximum(speed, 0.0) / (allowed + self._lead)
-            most -= np.where(allowed < self._v_max, closing, 0.0)
-            return Rows("joint", {"vdot": None}, np.minimum(-most[n:], most[:n]), np.maximum(-most[n:], most[:n]))
-        return Rows("joint", {"vdot": None}, -most[n:], most[:n])
+        speed = self._sides.dot(v)
+        room = self._edge - self._sides.dot(q + dt * v)
+        spare = self._v_max - speed
+        if min((room - self._far).tolist()) > 0.0 and min(spare.tolist()) >= 0.0:
+            most = np.sqrt(self._soft2 + self.j * spare)
+            most -= self._soft
+            return Rows("joint", {"vdot": None}, -most[n:], most[:n])
+        w, slope = self._curve(room)
+        most = np.minimum(self._closing(spare), self._closing(w - speed) - slope * speed)
+        most = np.maximum(most, -self.a)  # from beyond a limit the model brakes with no more than it has
+        return Rows("joint", {"vdot": None}, np.minimum(-most[n:], most[:n]), np.maximum(-most[n:], most[:n]))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -100,17 +139,29 @@ class JointLimit:
         return f"{'position' if near else 'velocity'}[{self.joints[i]}]"
 
 
-def braking(robot: Robot, tau_min: Array, tau_max: Array, rate: Array, share: float = 0.5, samples: int = 64) -> tuple[Array, Array]:
-    """Deceleration and jerk that each joint can count on, over sampled poses: the share of the torque that gravity
-    leaves, and of the rate, over the joint's inertia M_ii."""
+def braking(robot: Robot, tau_min: Array, tau_max: Array, rate: Array, samples: int = 64) -> tuple[Array, Array]:
+    """Deceleration (nv,) and its build-up (nv,) that all joints can count on together, over sampled poses.
+
+    The torque that gravity leaves must yield M a, and its rate M j: the joints push one another through M, so an
+    inertia of its own would promise each of them too much.
+    """
     rng = np.random.default_rng(0)
     low, high = np.maximum(robot.q_min, -np.pi), np.minimum(robot.q_max, np.pi)
-    spare, inertia = np.full(robot.nv, np.inf), np.zeros(robot.nv)
+    spare, inertia = np.full(robot.nv, np.inf), np.zeros((robot.nv, robot.nv))
     for _ in range(samples):
         state = robot.state(rng.uniform(low, high), np.zeros(robot.nv))
         spare = np.minimum(spare, np.minimum(tau_max - state.h, state.h - tau_min))
-        inertia = np.maximum(inertia, state.M.diagonal())
+        inertia = np.maximum(inertia, np.abs(state.M))
     # a motor that cannot even hold the arm up everywhere still brakes with a tenth of its torque
     spare = np.maximum(spare, 0.1 * np.minimum(tau_max, -tau_min))
-    finite = np.minimum(share * spare / inertia, 1e3)
-    return finite, np.minimum(share * rate / inertia, 1e6)
+    return np.minimum(_fair(inertia, spare), 1e3), np.minimum(_fair(inertia, rate), 1e6)
+
+
+def _fair(inertia: Array, effort: Array) -> Array:
+    """x (nv,) of the largest product with sum_j (inertia_ij x_j)^2 <= effort_i^2 for all i: signs are independent."""
+    rows = (inertia / np.clip(effort, 1e-6, 1e9)[:, None]) ** 2
+    price = np.ones(len(rows))
+    for _ in range(100):
+        x2 = 1.0 / (price @ rows)
+        price = price * np.sqrt(rows @ x2)
+    return np.sqrt(x2 / (rows @ x2).max())

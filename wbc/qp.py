@@ -77,19 +77,19 @@ def certify(problem: Problem, x: Array, z: Array) -> Certificate:
 
     A number that is not finite anywhere makes a residual that no tolerance holds.
     """
-    g, lo, hi = problem.g, problem.lo, problem.hi
+    _, g, C, lo, hi, n_eq, stack = problem
     n = g.size
     if x.shape != g.shape or z.shape != lo.shape:
         return UNCERTIFIED
-    value = problem.stack.dot(x)
-    residual = value[:n] + g
+    value = stack.dot(x)
+    residual = z[n:].dot(C)
     residual += z[:n]
-    residual += z[n:].dot(problem.C)
+    residual += g
+    residual += value[:n]
     value[:n] = x  # now [x; C x], what the bounds bound
-    outside = np.minimum(value, hi)
-    np.maximum(outside, lo, outside)
-    outside -= value
-    gap, first = 0.0, n + problem.n_eq
+    outside = np.maximum(value, lo)
+    outside -= np.minimum(value, hi)  # the violation; where bounds cross, no value makes it zero
+    gap, first = 0.0, n + n_eq
     for i in z.nonzero()[0].tolist():
         if i < n or i >= first:
             distance = value[i] - (hi[i] if z[i] > 0.0 else lo[i])
@@ -115,6 +115,15 @@ class Variables:
             raise ProblemError(f"no variable named {name!r}; there are {', '.join(self.slices)}") from None
 
 
+class _Block(NamedTuple):
+    """Views of the storage that one hard block fills."""
+
+    lo: Array
+    hi: Array
+    columns: dict[str, Array]
+    C: Array = np.zeros((0, 0))
+
+
 class Workspace:
     """Storage of one structure of the problem, filled in place tick by tick.
 
@@ -134,27 +143,31 @@ class Workspace:
         buffer = np.zeros((n + m) * n + n)  # H over C, then g: one sum finds a number that is not finite
         stack = buffer[: (n + m) * n].reshape(n + m, n)
         self.labels = [f"{name}[{i}]" for name, s in variables.slices.items() for i in range(s.stop - s.start)]
-        self._blocks: dict[str, tuple[slice, slice | None]] = {}  # block -> place in lo and hi, place in C
+        g, lo, hi = buffer[(n + m) * n :], np.full(n + m, -np.inf), np.full(n + m, np.inf)
+        self._blocks: dict[str, _Block] = {}
         for rows in kinds["bound"]:
             (name,) = rows.A
-            self._blocks[rows.name] = (variables[name], None)
-            self.labels[variables[name]] = rows.labels
-        start = 0
+            place = variables[name]
+            self._blocks[rows.name] = _Block(lo[place], hi[place], {})
+            self.labels[place] = rows.labels or self.labels[place]
+        start = n
         for rows in kinds["equality"] + kinds["inequality"]:
             stop = start + rows.lo.size
-            self._blocks[rows.name] = (slice(n + start, n + stop), slice(start, stop))
+            columns = {name: stack[start:stop, variables[name]] for name in rows.A}
+            for name, A in rows.A.items():
+                if np.shape(columns[name]) != (np.shape(A) if A is not None else (rows.lo.size, rows.lo.size)):
+                    raise ProblemError(
+                        f"rows {rows.name!r}: A[{name!r}] has shape {np.shape(A)}, expected {columns[name].shape}"
+                    )
+                if A is None:  # the identity stays in place for good
+                    columns.pop(name)[:] = np.eye(rows.lo.size)
+            self._blocks[rows.name] = _Block(lo[start:stop], hi[start:stop], columns, stack[start:stop])
             self.labels += rows.labels or [f"{rows.name}[{i}]" for i in range(stop - start)]
             start = stop
         self._buffer = buffer
-        self.problem = Problem(
-            H=stack[:n],
-            g=buffer[(n + m) * n :],
-            C=stack[n:],
-            lo=np.full(n + m, -np.inf),
-            hi=np.full(n + m, np.inf),
-            n_eq=n_eq,
-            stack=stack,
-        )
+        self._H = {(a, b): stack[variables[a], variables[b]] for a in variables.slices for b in variables.slices}
+        self._g = {name: g[place] for name, place in variables.slices.items()}
+        self.problem = Problem(stack[:n], g, stack[n:], lo, hi, n_eq, stack)
 
     @staticmethod
     def _kind(rows: Rows, bounded: set[str]) -> str:
@@ -174,30 +187,32 @@ class Workspace:
 
     def minimise(self, rows: Rows, weight: float) -> None:
         """Add `weight / 2 |A x - lo|^2` in the metric of the rows."""
-        H, g = self.problem.H, self.problem.g
         metric, target = rows.metric, rows.lo
-        weighted = []
+        weighted = {}
         for name, A in rows.A.items():
-            WA = (metric if metric is not None else np.eye(target.size)) if A is None else A if metric is None else metric.dot(A)
-            weighted.append((self.variables.slices[name], A, WA * weight if weight != 1.0 else WA))
-        for place, A, WA in weighted:
-            for other, _, WB in weighted:
-                H[place, other] += WB if A is None else A.T.dot(WB)
-            g[place] -= target.dot(WA)
+            if A is None:
+                WA = metric if metric is not None else np.eye(target.size)
+            else:
+                WA = A if metric is None else metric.dot(A)
+            weighted[name] = WA * weight if weight != 1.0 else WA
+        for name, A in rows.A.items():
+            for other, WB in weighted.items():
+                H = self._H[name, other]
+                H += WB if A is None else A.T.dot(WB)
+            g = self._g[name]
+            g -= target.dot(weighted[name])
 
     def constrain(self, rows: Rows) -> None:
         """Put a hard block in its place."""
-        bounds, place = self._blocks[rows.name]
-        self.problem.lo[bounds] = rows.lo
-        self.problem.hi[bounds] = rows.hi
-        if place is not None:
-            C = self.problem.C
-            for name, A in rows.A.items():
-                C[place, self.variables.slices[name]] = A if A is not None else np.eye(rows.lo.size)
+        block = self._blocks[rows.name]
+        block.lo[:] = rows.lo
+        block.hi[:] = rows.hi
+        for name, column in block.columns.items():
+            column[:] = rows.A[name]
 
     def product(self, name: str, x: Array) -> Array:
         """C x of the hard block `name`."""
-        return self.problem.C[self._blocks[name][1]].dot(x)
+        return self._blocks[name].C.dot(x)
 
     def fault(self) -> str:
         """Why the assembled problem must not reach a solver, or ""."""

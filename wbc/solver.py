@@ -1,12 +1,14 @@
 """Solvers behind one interface: `solve(problem) -> (x, z)`; whatever they claim, the certificate decides.
 
 `x` (n,) is the minimiser, `z` (n + m,) the multipliers of the bounds, then of the rows, positive at an upper bound.
-An object of one's own needs only `solve(problem)`; `restart()`, when it has one, is called after a refused answer.
+An object of one's own needs only `solve(problem)`, which answers arrays of its own and writes to none of the problem's;
+`restart()`, when it has one, is called after a refused answer: what it remembers then leads astray.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import warnings
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -35,100 +37,161 @@ class Solution(NamedTuple):
 
 
 def answer(solver: Solver, problem: Problem, tolerance: Certificate = TOLERANCE) -> Solution:
-    """Solve and certify; a refused answer gets one more chance from a cold start."""
-    reason = ""
-    for attempt in range(2):
-        try:
-            x, z = solver.solve(problem)
-            certificate = certify(problem, x, z)
-        except Exception as error:  # a foreign object must not take the loop down
-            x, z, certificate = problem.g, problem.lo, UNCERTIFIED
-            reason = f"the solver raised {type(error).__name__}: {error}"
-        if certificate.holds(tolerance):
-            return Solution(x, z, certificate, True)
-        restart = getattr(solver, "restart", None)
-        if restart is None or attempt:
-            break
-        restart()
-    reason = reason or "no certified answer: primal {:.1e}, dual {:.1e}, gap {:.1e}".format(*certificate)
+    """Solve and certify; a solver that can restart gets one more chance, from cold. Never raises."""
+    solution = _attempt(solver, problem, tolerance)
+    if not solution.accepted and _restart(solver):
+        solution = _attempt(solver, problem, tolerance)
+        if not solution.accepted:
+            _restart(solver)
+    return solution
+
+
+def _attempt(solver: Solver, problem: Problem, tolerance: Certificate) -> Solution:
+    try:
+        found = solver.solve(problem)
+    except Exception as error:  # a foreign object must not take the loop down
+        return _refused(f"the solver raised {type(error).__name__}: {error}")
+    try:
+        x, z = found
+        certificate = certify(problem, x, z)
+    except Exception as error:
+        return _refused(f"the solver answered no (x, z) of float arrays: {type(error).__name__}: {error}")
+    primal, dual, gap = certificate
+    if primal <= tolerance.primal and dual <= tolerance.dual and gap <= tolerance.gap:  # False also for NaN
+        return Solution(x, z, certificate, True)
+    if x.shape != problem.g.shape or z.shape != problem.lo.shape:
+        expected = f"expected {problem.g.shape}, {problem.lo.shape}"
+        return _refused(f"the solver answered arrays of shapes {x.shape}, {z.shape}; {expected}")
+    reason = f"no certified answer: primal {primal:.1e}, dual {dual:.1e}, gap {gap:.1e}"
     return Solution(x, z, certificate, False, reason)
 
 
+def _refused(reason: str) -> Solution:
+    return Solution(np.zeros(0), np.zeros(0), UNCERTIFIED, False, reason)
+
+
+def _restart(solver: Any) -> bool:
+    """Whether the solver forgot its past."""
+    try:
+        solver.restart()
+    except Exception:  # it has no past, or cannot forget it
+        return False
+    return True
+
+
 class Daqp:
-    """DAQP (dual active set) on one persistent model, warm-started from the last accepted active set."""
+    """DAQP (dual active set) on one persistent model.
+
+    Every call starts from the empty active set, so that an answer is bit for bit a function of its problem. That
+    costs nothing on an arm's problems; the storage is what is worth keeping (a new model takes twice the time).
+    """
 
     def __init__(self, **settings: Any) -> None:
-        self._settings = {"primal_tol": 1e-9, "iter_limit": 1000} | settings
+        # equality reduction chooses by the history of the model: off
+        self._settings = {"primal_tol": 1e-9, "iter_limit": 1000, "eq_reduction": -1} | settings
+        self._problem: Problem | None = None  # the last one: the same object needs no look at its shape
+        self._shape: tuple[int, int, int] | None = None
         self._model: Any = None
-        self._shape: tuple[int, int, int] = (0, 0, 0)
-
-    def restart(self) -> None:
-        self._model = None
+        self._sense: Any = None
 
     def solve(self, problem: Problem) -> tuple[Array, Array]:
-        n, m, n_eq = problem.g.size, problem.C.shape[0], problem.n_eq
-        if self._model is None or self._shape != (n, m, n_eq):
-            import daqp
-
-            sense = np.zeros(n + m, dtype=np.int32)
-            sense[n : n + n_eq] = 5
-            self._model = daqp.Model()
-            self._model.settings = self._settings
-            self._model.setup(problem.H, problem.g, problem.C, problem.hi, problem.lo, sense)
-            self._shape = (n, m, n_eq)
-        else:
-            self._model.update(problem.H, problem.g, problem.C, problem.hi, problem.lo)
+        H, g, C, lo, hi, n_eq, _ = problem
+        if problem is not self._problem and (g.size, lo.size, n_eq) != self._shape:
+            self._setup(problem)
+        elif (flag := self._model.update(H, g, C, hi, lo, self._sense)) < 0:
+            raise self._failed(flag)
+        self._problem = problem
         x, _, flag, info = self._model.solve()
         if flag < 1:
-            raise SolverError(f"exit flag {flag} ({_DAQP_FLAGS.get(flag, 'see its manual')})")
+            raise self._failed(flag)
         return x, info["lam"]
 
+    def _setup(self, problem: Problem) -> None:
+        import daqp
 
-_DAQP_FLAGS = {-1: "infeasible", -2: "cycling", -3: "unbounded", -4: "iteration limit", -5: "nonconvex"}
+        n, size, n_eq = shape = problem.g.size, problem.lo.size, problem.n_eq
+        self._sense = np.zeros(size, dtype=np.int32)
+        self._sense[n : n + n_eq] = 5  # an equality, always active
+        self._model = daqp.Model()
+        self._model.settings = self._settings
+        flag, _ = self._model.setup(problem.H, problem.g, problem.C, problem.hi, problem.lo, self._sense)
+        if flag < 0:
+            raise self._failed(flag)
+        self._shape = shape
+
+    def _failed(self, flag: int) -> SolverError:
+        self._problem = self._shape = None  # whatever the model holds now, the next call gets a new one
+        return SolverError(f"DAQP: {_DAQP_FLAGS.get(flag, f'exit flag {flag}')}")
+
+
+_DAQP_FLAGS = {
+    -1: "infeasible", -2: "cycling", -3: "unbounded", -4: "iteration limit", -5: "nonconvex", -6: "equalities contradict",
+}  # fmt: skip
 
 
 class ProxQP:
-    """ProxQP (dense) as one persistent object: warm only after an accepted answer, capped iterations, all nine arrays."""
+    """ProxQP (dense) as one persistent object: warm only after an accepted answer, capped iterations, all nine arrays.
+
+    `warm`, `cold`: most outer and inner iterations. Warm answers depend on the past within the tolerance (measured:
+    1e-9 of the torque); an accepted one need not have reached `eps_abs`, which lies near the rounding of some problems.
+    """
 
     _BIG = 1e20
 
-    def __init__(self, eps_abs: float = 1e-9, warm: tuple[int, int] = (50, 50), cold: tuple[int, int] = (200, 200)):
+    def __init__(self, eps_abs: float = 1e-9, warm: tuple[int, int] = (20, 20), cold: tuple[int, int] = (40, 40)):
         from proxsuite import proxqp
 
-        self._proxqp = proxqp
+        guess = proxqp.InitialGuess
+        self._QP = proxqp.dense.QP
+        self._guess = {True: guess.WARM_START_WITH_PREVIOUS_RESULT, False: guess.EQUALITY_CONSTRAINED_INITIAL_GUESS}
         self._eps, self._caps = eps_abs, {True: warm, False: cold}
         self._qp: Any = None
-        self._shape: tuple[int, int, int] = (0, 0, 0)
+        self._shape: tuple[int, int, int] | None = None
 
     def restart(self) -> None:
         self._qp = None
 
     def solve(self, problem: Problem) -> tuple[Array, Array]:
-        n, m, n_eq = problem.g.size, problem.C.shape[0], problem.n_eq
-        lo, hi = np.maximum(problem.lo, -self._BIG), np.minimum(problem.hi, self._BIG)
-        arrays = (problem.H, problem.g, problem.C[:n_eq], lo[n : n + n_eq], problem.C[n_eq:])
-        arrays += (lo[n + n_eq :], hi[n + n_eq :], lo[:n], hi[:n])
-        guess = self._proxqp.InitialGuess
+        H, g, C, lo, hi, n_eq, _ = problem
+        n, m = g.size, C.shape[0]
+        lo, hi = np.maximum(lo, -self._BIG), np.minimum(hi, self._BIG)
+        first = n + n_eq
         warm = self._qp is not None and self._shape == (n, m, n_eq)
-        if not warm:
-            self._qp = self._proxqp.dense.QP(n, n_eq, m - n_eq, True)
-            self._qp.settings.eps_abs, self._qp.settings.eps_rel = self._eps, 0.0
-            self._shape = (n, m, n_eq)
-        settings = self._qp.settings
-        settings.max_iter, settings.max_iter_in = self._caps[warm]
-        settings.initial_guess = (
-            guess.WARM_START_WITH_PREVIOUS_RESULT if warm else guess.EQUALITY_CONSTRAINED_INITIAL_GUESS
-        )
-        (self._qp.update if warm else self._qp.init)(*arrays)
-        self._qp.solve()
-        results = self._qp.results
+        qp = self._qp if warm else self._fresh(n, m, n_eq)
+        qp.settings.initial_guess = self._guess[warm]
+        qp.settings.max_iter, qp.settings.max_iter_in = self._caps[warm]
+        (qp.update if warm else qp.init)(H, g, C[:n_eq], lo[n:first], C[n_eq:], lo[first:], hi[first:], lo[:n], hi[:n])
+        qp.solve()
+        results = qp.results
         x, z, rows = np.array(results.x), np.empty(n + m), np.array(results.z)
-        z[:n], z[n : n + n_eq], z[n + n_eq :] = rows[m - n_eq :], results.y, rows[: m - n_eq]
+        z[:n], z[n:first], z[first:] = rows[m - n_eq :], results.y, rows[: m - n_eq]
         return x, z
+
+    def _fresh(self, n: int, m: int, n_eq: int) -> Any:
+        qp = self._QP(n, n_eq, m - n_eq, True)
+        qp.settings.eps_abs, qp.settings.eps_rel = self._eps, 0.0
+        # without it a large multiplier times a residual of eps_abs fails the certificate (1 tick in 100 under noise)
+        qp.settings.check_duality_gap = True
+        qp.settings.eps_duality_gap_abs, qp.settings.eps_duality_gap_rel = 100.0 * self._eps, 0.0
+        self._qp, self._shape = qp, (n, m, n_eq)
+        return qp
+
+
+# what a backend needs beyond its defaults for answers that the certificate accepts
+_TUNED: dict[str, dict[str, Any]] = {
+    "clarabel": {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11},
+    "highs": {"qp_regularization_value": 0.0, "primal_feasibility_tolerance": 1e-6, "time_limit": 0.5},
+    "osqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "polishing": True},
+    "piqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "eps_duality_gap_abs": 1e-10, "eps_duality_gap_rel": 0.0},
+    "scs": {"eps_abs": 1e-9, "eps_rel": 0.0, "max_iters": 5000, "time_limit_secs": 0.5},
+}
 
 
 class QpSolvers:
-    """Any backend of `qpsolvers`, by its name: for comparing; it rebuilds the problem in every call."""
+    """Any backend of `qpsolvers`, by its name: for comparing; it rebuilds the problem in every call.
+
+    `settings` are the backend's own, on top of those that it needs for a certified answer.
+    """
 
     def __init__(self, name: str, **settings: Any) -> None:
         import qpsolvers
@@ -136,26 +199,37 @@ class QpSolvers:
         if name not in qpsolvers.available_solvers:
             raise SolverError(f"no solver named {name!r}{did_you_mean(name, installed())}")
         self._solve, self._problem = qpsolvers.solve_problem, qpsolvers.Problem
-        self._name, self._settings = name, settings
+        self._name, self._settings = name, _TUNED.get(name, {}) | settings
 
     def solve(self, problem: Problem) -> tuple[Array, Array]:
-        n, n_eq = problem.g.size, problem.n_eq
-        C, lo, hi = problem.C[n_eq:], problem.lo[n + n_eq :], problem.hi[n + n_eq :]
-        up, down = np.isfinite(hi), np.isfinite(lo)
+        H, g, C, lo, hi, n_eq, stack = problem
+        if not (np.isfinite(stack).all() and np.isfinite(g).all() and (lo <= hi).all()):
+            raise SolverError("not solved: a coefficient is not finite, or bounds cross")  # some backends never return
+        n = g.size
+        first = n + n_eq
+        up, down = np.isfinite(hi[first:]), np.isfinite(lo[first:])
+        rows, box = up.any() or down.any(), np.isfinite(lo[:n]).any() or np.isfinite(hi[:n]).any()
         given = self._problem(
-            problem.H, problem.g, np.r_[C[up], -C[down]], np.r_[hi[up], -lo[down]],
-            problem.C[:n_eq], problem.hi[n : n + n_eq], problem.lo[:n], problem.hi[:n],
+            H, g,
+            np.concatenate((C[n_eq:][up], -C[n_eq:][down])) if rows else None,
+            np.concatenate((hi[first:][up], -lo[first:][down])) if rows else None,
+            C[:n_eq] if n_eq else None, hi[n:first] if n_eq else None,
+            lo[:n] if box else None, hi[:n] if box else None,
         )  # fmt: skip
-        solution = self._solve(given, solver=self._name, **self._settings)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of sparse copies, and of failures, which raise here
+            solution = self._solve(given, solver=self._name, **self._settings)
         if not solution.found or solution.x is None:
-            raise SolverError("no solution found")
-        z = np.zeros(problem.lo.size)
-        if solution.z_box is not None and solution.z_box.size:
+            raise SolverError(f"{self._name}: no solution found")
+        z = np.zeros(lo.size)
+        if box and solution.z_box is not None and solution.z_box.size:
             z[:n] = solution.z_box
-        z[n : n + n_eq] = solution.y if n_eq else 0.0
-        if solution.z is not None and solution.z.size:
-            z[n + n_eq :][up] += solution.z[: up.sum()]
-            z[n + n_eq :][down] -= solution.z[up.sum() :]
+        if n_eq:
+            z[n:first] = solution.y
+        if rows:
+            z[first:][up] += solution.z[: up.sum()]
+            z[first:][down] -= solution.z[up.sum() :]
+        z[((z > 0.0) & (hi == np.inf)) | ((z < 0.0) & (lo == -np.inf))] = 0.0  # no bound, no force: rounding
         return np.asarray(solution.x, float), z
 
 
@@ -164,6 +238,8 @@ def make(solver: str | Solver) -> Solver:
 
     Raises SolverError when the name is unknown or the object has no `solve`.
     """
+    if isinstance(solver, type):
+        raise SolverError(f"expected an object of the class {solver.__name__}, got the class itself")
     if not isinstance(solver, str):
         if not callable(getattr(solver, "solve", None)):
             raise SolverError(f"a solver needs a method solve(problem), got {type(solver).__name__}")
@@ -179,5 +255,6 @@ def installed() -> list[str]:
     """Names that `make` takes on this machine: the two direct ones, then those that qpsolvers finds."""
     import qpsolvers
 
-    direct = [name for name, package in (("daqp", "daqp"), ("proxqp", "proxsuite")) if importlib.util.find_spec(package)]
+    packages = {"daqp": "daqp", "proxqp": "proxsuite"}
+    direct = [name for name, package in packages.items() if importlib.util.find_spec(package)]
     return direct + [name for name in sorted(qpsolvers.available_solvers) if name not in direct]

@@ -246,10 +246,12 @@ def _hybrid(
     A, d = held[name]
     axes = list(robot.axes(task.frame))
     y = _motion(task, state, dynamics(task.frame))
-    S = phase.contacts[name].free(state)
+    # an arm of fewer axes cannot move along all that the contact leaves free: the rows that it can
+    _, s, rows = np.linalg.svd(phase.contacts[name].free(state)[:, axes], full_matrices=False)
+    S = rows[s > 1e-9]
     return analytic.hybrid_torque(
         d.M, d.h, d.J[axes], d.drift[axes], A[:, axes], y[axes], commands[name][axes], Adot_V=adot[name],
-        law=law, vdot_posture=vdot_posture if robot.nv > len(axes) else None, S=S[:, axes],
+        law=law, vdot_posture=vdot_posture if robot.nv > len(axes) else None, S=S,
     )  # fmt: skip
 
 
@@ -279,7 +281,10 @@ def _stacked(phase: Phase, state: State, motions: Any, held: Any, adot: Any, com
 
 def _motion(task: MotionTask, state: State, d: Dynamics) -> Array:
     desired = task.reference(state.t)
-    return analytic.computed_torque(d.T, d.V, desired.T.homogeneous, desired.V, desired.Vdot, task.Kp, task.Kd)
+    T_d, V_d = desired.T.homogeneous, desired.V
+    feedforward = analytic.computed_torque(d.T, d.V, T_d, V_d, desired.Vdot, 0.0, 0.0)
+    # gains on some axes are only semidefinite as (6, 6), which `computed_torque` refuses
+    return feedforward + task.Kp @ analytic.pose_error(d.T, T_d) + task.Kd @ analytic.twist_error(d.T, d.V, T_d, V_d)
 
 
 def _command(phase: Phase, name: str, law: str, state: State, dynamics: Any, memory: Memory, given: dict[str, Wrench]) -> Array:

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterator
+from collections.abc import Set as AbstractSet
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from .task import ForceTask, MotionTask, PostureTask
 if TYPE_CHECKING:
     from .document import Spec
 
-LeftOut = Set[KeyPath]
+LeftOut = AbstractSet[KeyPath]
 SECTIONS: tuple[KeyPath, ...] = (("limits",), ("plant",), ("plant", "noise"))  # `--set` makes them when absent
 _IN_PHASES = ("contacts", "tasks", "limits", "references")
 
@@ -31,8 +32,8 @@ def disagreements(spec: Spec, left_out: LeftOut, check: Callable[[Any, LeftOut],
 
 
 def _unknown(name: str, spec: Spec, section: str, left_out: LeftOut) -> str | None:
-    known: Mapping[str, Any] = getattr(spec, section)
-    if name in known or (section,) in left_out or (section, name) in left_out:
+    known = [*getattr(spec, section), *(str(path[-1]) for path in left_out if path[0] == section)]
+    if name in known or (section,) in left_out:
         return None
     return f"no {section[:-1]} named {shown(name)}{did_you_mean(name, known)}"
 
@@ -58,12 +59,14 @@ def _of_tasks(spec: Spec, left_out: LeftOut) -> Iterator[Message]:
 
 
 def _of_task(task: ForceTask | MotionTask, spec: Spec, left_out: LeftOut) -> Iterator[tuple[str, str]]:
-    for key, section, name in (
-        ("target", "references", getattr(task, "target", None)),
-        ("contact", "contacts", task.contact),
+    if (
+        isinstance(task, MotionTask)
+        and task.target
+        and (message := _unknown(task.target, spec, "references", left_out))
     ):
-        if name is not None and (message := _unknown(name, spec, section, left_out)):
-            yield key, message
+        yield "target", message
+    if task.contact and (message := _unknown(task.contact, spec, "contacts", left_out)):
+        yield "contact", message
     axes: tuple[str, ...] | None = None  # None: the spec alone does not tell
     if contact := spec.contacts.get(task.contact or ""):
         axes = contact.gain_names(task.type)

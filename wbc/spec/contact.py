@@ -9,17 +9,34 @@ from pydantic import AfterValidator, Field, Tag
 
 from ..axes import RECIPROCAL, VELOCITY_AXES, WRENCH_AXES
 from ..errors import did_you_mean
-from .fields import Axes, Axis, Model, Name, Named, Number, OneOf, Target, Text, Vec3, WrenchAxis, either, shown, wrong
+from .fields import (
+    AName,
+    ANumber,
+    Axes,
+    Axis,
+    Model,
+    Name,
+    Number,
+    OneOf,
+    Target,
+    Text,
+    Vec3,
+    WrenchAxis,
+    either,
+    named,
+    shown,
+    wrong,
+)
 from .source import Message
+
+XYZ = Annotated[Literal["x", "y", "z"], Tag("<name>")]
+Direction = Annotated[XYZ | Annotated[Vec3, Tag("<list>")], either("x, y, z or a list of three numbers")]
 
 
 class Screw(Model):
     """A screw axis."""
 
-    axis: Annotated[
-        Annotated[Literal["x", "y", "z"], Tag("<name>")] | Annotated[Vec3, Tag("<list>")],
-        either("x, y, z or a list of three numbers"),
-    ] = Field(description="direction, in the axes of the frame that it passes through")
+    axis: Direction = Field(description="direction, in the axes of the frame that it passes through")
     through: Text = Field(default="self", description="frame that the axis passes through; self: the contact frame")
     pitch: Number = Field(default=0.0, description="advance per angle [m/rad]")
 
@@ -36,20 +53,14 @@ class FreeMotion(Model):
 
 def _zero(value: float) -> float:
     if value != 0:
-        raise wrong(
-            f"expected 0, as the natural constraints are A V = 0 and no wrench along what is free, got {value:g}"
-        )
+        raise wrong(f"expected 0, as A V = 0 and no wrench acts along what is free, got {value:g}")
     return value
 
 
 Zero = Annotated[Number, AfterValidator(_zero)]
-Row = Annotated[tuple[Number, ...], Named("wx, wy, wz, vx, vy, vz")]
-Artificial = Annotated[
-    Annotated[Number, Tag("<number>")]
-    | Annotated[Text, Tag("<name>")]
-    | Annotated[dict[WrenchAxis, Target], Tag("<map>")],
-    either("a number or the name of a reference"),
-]
+Row = Annotated[tuple[Number, ...], Field(min_length=6, max_length=6), named(", ".join(VELOCITY_AXES))]
+Wrench = Annotated[dict[WrenchAxis, Target], Tag("<map>")]
+Artificial = Annotated[ANumber | AName | Wrench, either("a number or the name of a reference")]
 
 
 class Contact(OneOf):
@@ -59,12 +70,11 @@ class Contact(OneOf):
 
     frame: Text = Field(description="the name of the frame of the robot or tool that is held")
     on: Text | None = Field(
-        default=None, description="frame of the scene that it closes against; the contact's own name if left out"
+        default=None, description="frame of the scene that it closes against; else the contact's name"
     )
-    in_: Literal["frame", "on"] = Field(default="frame", alias="in", description="whose axes the rows of A are along")
+    in_: Literal["frame", "on"] = Field(default="frame", alias="in", description="whose axes A is expressed in")
     natural: dict[Axis, Zero] | None = Field(
-        default=None,
-        description="natural constraints: velocities [rad/s, m/s] and wrenches [N m, N] that the contact keeps at 0",
+        default=None, description="velocities [rad/s, m/s] and wrenches [N m, N] that the contact keeps at 0"
     )
     free: dict[Name, FreeMotion] | None = Field(default=None, description="free screws, of which A is the annihilator")
     holds: Axes | None = Field(default=None, description="velocity axes that are held, or all")
@@ -94,16 +104,16 @@ class Contact(OneOf):
     @property
     def wrench_targets(self) -> dict[str, float | str]:
         """Desired wrench on the environment by wrench axis [N m, N], in canonical order."""
-        column = self.artificial if self.natural is not None else self.artificial.get("wrench", {})
+        column = self.artificial if self.natural is not None else self.artificial.get("wrench")
         given: Mapping[Any, Any] = column if isinstance(column, dict) else {}
         return {axis: given[axis] for axis in WRENCH_AXES if not isinstance(given.get(axis, {}), dict)}
 
     @property
     def motion_targets(self) -> dict[str, float | str]:
         """Desired motion by free velocity axis or screw [rad/s, m/s, or a reference]."""
-        entries = {name: value for name, value in self.artificial.items() if not isinstance(value, dict)}
-        order = dict.fromkeys([*self.free_axes, *entries])
-        return {name: entries[name] for name in order if name in entries and name not in WRENCH_AXES}
+        order = dict.fromkeys([*self.free_axes, *self.artificial])
+        given = {name: self.artificial.get(name, {}) for name in order if name not in WRENCH_AXES}
+        return {name: value for name, value in given.items() if not isinstance(value, dict)}
 
     @property
     def targets(self) -> dict[str, float | str]:
@@ -128,21 +138,18 @@ class Contact(OneOf):
             elif isinstance(artificial[name], dict):
                 yield ("artificial", name), "expected a number or the name of a reference, got a mapping"
         for pair in zip(VELOCITY_AXES, WRENCH_AXES, strict=True):
-            left = [axis for axis in natural if axis in pair]
-            right = [axis for axis in artificial if axis in pair]
             rule = f"of {pair[0]} and {pair[1]} one is natural and the other artificial"
+            left, right = ([axis for axis in column if axis in pair] for column in (natural, artificial))
             if len(left) == 2:
                 yield ("natural", left[1]), f"{left[0]} and {left[1]} are both natural; {rule}"
             elif len(right) == 2:
                 yield ("artificial", right[1]), f"{right[0]} and {right[1]} are both artificial; {rule}"
-            elif left and not right:
-                lost = RECIPROCAL[left[0]]
-                yield ("artificial", lost), f"{lost} is missing; natural {left[0]} needs its artificial entry"
-            elif right and not left:
-                lost = RECIPROCAL[right[0]]
-                yield ("natural", lost), f"{lost} is missing; artificial {right[0]} needs its natural entry"
             elif left and left == right:
                 yield ("artificial", right[0]), f"{left[0]} is both natural and artificial; {rule}"
+            elif len(left) != len(right):
+                here, there = ("natural", "artificial") if left else ("artificial", "natural")
+                axis, lost = (left or right)[0], RECIPROCAL[(left or right)[0]]
+                yield (there, lost), f"{lost} is missing; {here} {axis} needs its {there} entry"
 
     def _entries(self) -> Iterator[Message]:
         """Targets of `free`, `holds` and `A`: free motions by name, forces under `wrench`."""

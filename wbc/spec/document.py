@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from os.path import exists
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -23,7 +23,9 @@ from .source import MAX_BYTES, Message, NoSuchKey, Source, parse, printable, put
 from .task import Task
 
 MAX_ENTRIES = 200
-_BY_NAME = ("references", "contacts", "tasks", "phases")
+Law = Literal["compensated", "book"]
+Gravity = Literal["controller", "robot"]
+_BY_NAME = (("references",), ("contacts",), ("tasks",), ("phases",))
 
 
 class Spec(Model):
@@ -35,12 +37,8 @@ class Spec(Model):
     scene: Text | None = Field(default=None, description="the name of a shipped scene, or a path")
     rate: Positive = Field(default=1000.0, le=10_000, description="control rate [Hz]")
     duration: Positive = Field(default=5.0, le=3600, description="duration of a run [s]")
-    law: Literal["compensated", "book"] = Field(
-        default="compensated", description="compensated, or the book's law to the letter"
-    )
-    gravity: Literal["controller", "robot"] = Field(
-        default="controller", description="who adds the torque against gravity"
-    )
+    law: Law = Field(default="compensated", description="compensated, or the book's law to the letter")
+    gravity: Gravity = Field(default="controller", description="who adds the torque against gravity")
     start: Pose | None = Field(default=None, description="keyframe or joint positions to start from [rad]; else home")
     solver: Text = Field(default="daqp", description="the name of the QP solver")
     references: dict[Name, Reference] = Field(default={}, max_length=MAX_ENTRIES, description="desired motions by name")
@@ -103,13 +101,13 @@ class Spec(Model):
             wrong = _messages(error)
         if not isinstance(tree, Mapping):
             return None, wrong
-        faulty = {path[: 2 if path[0] in _BY_NAME else 1] for path, _ in wrong}
-        sound = {key: value for key, value in tree.items() if (key,) not in faulty}
-        for section in _BY_NAME:
+        bad = {path[: 2 if path[:1] in _BY_NAME else 1] for path, _ in wrong}
+        sound = {"robot": "any"} | {key: value for key, value in tree.items() if (key,) not in bad}
+        for (section,) in _BY_NAME:
             if isinstance(entries := sound.get(section), Mapping):
-                sound[section] = {name: entry for name, entry in entries.items() if (section, name) not in faulty}
+                sound[section] = {name: entry for name, entry in entries.items() if (section, name) not in bad}
         try:
-            super().model_validate({"robot": "any"} | sound, context=left_out | faulty)
+            super().model_validate(sound, context=left_out | bad)
         except ValidationError as error:
             wrong += _messages(error)
         return None, wrong
@@ -142,20 +140,25 @@ def load(file: str | Path, overrides: Mapping[str, str] | Sequence[str] = ()) ->
 def _read(name: str) -> Source:
     found = find_file("tasks", name, ".yaml")
     if found is None:
-        message = f"no such file, and no shipped spec of that name{did_you_mean(name, shipped_names('tasks', '.yaml'))}"
-        if os.path.exists(name):
-            message = "is not a regular file"
-        raise SpecError([Fault(printable(name, 200), 0, 0, "", message)])
+        near = did_you_mean(name, shipped_names("tasks", ".yaml"))
+        lost = "is not a regular file" if exists(name) else f"no such file, and no shipped spec of that name{near}"
+        raise SpecError([Fault(printable(name, 200), 0, 0, "", lost)])
+    shows = found.suffix in (".yaml", ".yml")  # of another file, which may be no spec at all, messages quote nothing
     try:
         with found.open("rb") as stream:
             source = parse(stream.read(MAX_BYTES + 1), str(found))
         if source.tree is None:
-            raise SpecError(
-                [Fault(str(found), 1, 1, "", "the file is empty; a spec needs at least the line `robot: NAME`")]
-            )
+            empty = "the file is empty; a spec needs at least the line `robot: NAME`"
+            raise SpecError([Fault(str(found), 1, 1, "", empty)])
+        if shows or isinstance(source.whole().tree, dict):
+            return source
     except OSError as error:
         raise SpecError([Fault(str(found), 0, 0, "", f"cannot be read: {error.strerror}")]) from None
-    return source
+    except SpecError:
+        if shows:
+            raise
+    why = "not readable as a YAML mapping; name the file .yaml or .yml to see where"
+    raise SpecError([Fault(str(found), 0, 0, "", why)])
 
 
 class _Schema(GenerateJsonSchema):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from itertools import islice
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -11,19 +10,17 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
-    GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
-    ModelWrapValidatorHandler,
     Strict,
     Tag,
     ValidationError,
     model_validator,
 )
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, ErrorDetails, InitErrorDetails, PydanticCustomError, core_schema
+from pydantic import ModelWrapValidatorHandler as Handler
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from ..errors import did_you_mean
 from .source import MAX_FAULTS, Message, printable
@@ -84,7 +81,7 @@ class Model(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _explain(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _explain(cls, value: Any, handler: Handler[Self]) -> Self:
         try:
             model = handler(value)
         except ValidationError as error:
@@ -142,7 +139,7 @@ class OneOf(Model):
             yield (), message
 
 
-# --- Unions, whose member is chosen by what the value looks like, so that a fault is told for that member alone -------
+# --- Values: a union is decided by what the value looks like, so that a fault is told for that member alone -----------
 
 
 def shape(value: Any) -> str | None:
@@ -160,36 +157,26 @@ def either(expected: str, tag: Callable[[Any], str | None] = shape) -> Discrimin
     return Discriminator(tag, custom_error_type="shape", custom_error_message=expected)
 
 
-# --- Numbers and names -----------------------------------------------------------------------------------------------
-
-
-class Named:
+def named(*choices: str) -> BeforeValidator:
     """A list of exactly the numbers that one of these texts names."""
+    lengths = {names.count(",") + 1: names for names in choices}
 
-    def __init__(self, *choices: str) -> None:
-        self.choices = {names.count(",") + 1: names for names in choices}
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(self._check, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return handler(schema) | {"minItems": min(self.choices), "maxItems": max(self.choices)}
-
-    def _check(self, values: tuple[float, ...]) -> tuple[float, ...]:
-        if len(values) not in self.choices:
-            expected = " or ".join(f"{length} numbers ({names})" for length, names in self.choices.items())
+    def check(values: Any) -> Any:
+        if isinstance(values, list | tuple) and len(values) not in lengths:
+            expected = " or ".join(f"{length} numbers ({names})" for length, names in lengths.items())
             raise wrong(f"expected {expected}, got {len(values)}")
         return values
+
+    return BeforeValidator(check)
 
 
 def _positive_definite(matrix: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
     if any(len(row) != len(matrix) for row in matrix):
         raise wrong(f"expected a square matrix, got rows of {', '.join(str(len(row)) for row in matrix)} numbers")
     largest = max(abs(entry) for row in matrix for entry in row)
-    for i, row in enumerate(matrix):
-        for a, b in zip(row[:i], (other[i] for other in matrix), strict=False):
-            if abs(a - b) > 1e-9 * largest:
-                raise wrong(f"expected a symmetric matrix, got {a:g} and {b:g} across the diagonal")
+    for a, b in ((row[j], matrix[j][i]) for i, row in enumerate(matrix) for j in range(i)):
+        if abs(a - b) > 1e-9 * largest:
+            raise wrong(f"expected a symmetric matrix, got {a:g} and {b:g} across the diagonal")
     import numpy  # not above: few specs have a matrix
 
     smallest = numpy.linalg.eigvalsh(matrix)[0]
@@ -199,8 +186,9 @@ def _positive_definite(matrix: tuple[tuple[float, ...], ...]) -> tuple[tuple[flo
 
 
 def _distinct(axes: tuple[str, ...]) -> tuple[str, ...]:
-    if twice := [axis for axis, count in Counter(axes).items() if count > 1]:
-        raise wrong(f"{twice[0]} is given twice")
+    for i, axis in enumerate(axes):
+        if axis in axes[:i]:
+            raise wrong(f"{axis} is given twice")
     return axes
 
 
@@ -209,29 +197,24 @@ Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
 Text = Annotated[str, Field(min_length=1)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
-Vec2 = Annotated[tuple[Number, ...], Named("x, y")]
-Size2 = Annotated[tuple[Positive, ...], Named("x, y")]
-Vec3 = Annotated[tuple[Number, ...], Named("x, y, z")]
+Vec2 = Annotated[tuple[Number, Number], named("x, y")]
+Size2 = Annotated[tuple[Positive, Positive], named("x, y")]
+Vec3 = Annotated[tuple[Number, Number, Number], named("x, y, z")]
 
+ANumber = Annotated[Number, Tag("<number>")]
+AName = Annotated[Text, Tag("<name>")]
+All = Annotated[Literal["all"], Tag("<name>")]
 VelocityAxis = Literal["wx", "wy", "wz", "vx", "vy", "vz"]
 WrenchAxis = Literal["mx", "my", "mz", "fx", "fy", "fz"]
 Axis = Literal[VelocityAxis, WrenchAxis]
-Axes = Annotated[
-    Annotated[Literal["all"], Tag("<name>")]
-    | Annotated[tuple[VelocityAxis, ...], Field(min_length=1), AfterValidator(_distinct), Tag("<list>")],
-    either("all or a list of velocity axes"),
-]
+AxisList = Annotated[tuple[VelocityAxis, ...], Field(min_length=1), AfterValidator(_distinct), Tag("<list>")]
+Axes = Annotated[All | AxisList, either("all or a list of velocity axes")]
 Gain = Annotated[
     Annotated[NonNegative, Tag("<number>")]
     | Annotated[tuple[NonNegative, ...], Field(min_length=1), Tag("<list>")]
     | Annotated[tuple[tuple[Number, ...], ...], AfterValidator(_positive_definite), Tag("<matrix>")],
     either("a number, a list of numbers or a matrix"),
 ]
-Target = Annotated[
-    Annotated[Number, Tag("<number>")] | Annotated[Text, Tag("<name>")],
-    either("a number or the name of a reference"),
-]
-Pose = Annotated[
-    Annotated[Text, Tag("<name>")] | Annotated[dict[Text, Number], Tag("<map>")],
-    either("the name of a keyframe or a mapping from joints to angles [rad]"),
-]
+Target = Annotated[ANumber | AName, either("a number or the name of a reference")]
+JointValues = Annotated[dict[Text, Number], Tag("<map>")]
+Pose = Annotated[AName | JointValues, either("the name of a keyframe or a mapping from joints to angles [rad]")]

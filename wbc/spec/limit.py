@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, Strict, Tag
 
-from .fields import Model, NonNegative, Number, Positive, Text, either, shape
+from .fields import ANumber, Model, NonNegative, Number, Positive, Text, either, shape
 from .source import Message
 
 
@@ -28,15 +28,14 @@ def _limit(value: Any) -> str | None:
 
 
 OfModel = Annotated[Literal["model"], Tag("<name>")]
-Joints = (
+PerJoint = (
     Annotated[Positive, Tag("<number>")]
     | Annotated[tuple[Positive, ...], Field(min_length=1), Tag("<list>")]
     | Annotated[dict[Text, Positive], Tag("<map>")]
 )
-Limit = Annotated[
-    OfModel | Joints | Annotated[Scale, Tag("<scale>")], either("model, a number, a list, or a mapping", _limit)
-]
-RateLimit = Annotated[Joints, either("a number, a list, or a mapping from joints to numbers")]
+OfScale = Annotated[Scale, Tag("<scale>")]
+Limit = Annotated[OfModel | PerJoint | OfScale, either("model, a number, a list, or a mapping", _limit)]
+RateLimit = Annotated[PerJoint, either("a number, a list, or a mapping from joints to numbers")]
 PositionLimit = Annotated[OfModel | Annotated[Margin, Tag("<map>")], either("model or a mapping with margin")]
 
 
@@ -78,9 +77,7 @@ class Plant(Model):
     mass_error: Number = Field(default=0.0, gt=-0.5, lt=1, description="fraction added to every link's mass [1]")
     joint_friction: NonNegative = Field(default=0.0, description="Coulomb friction of every joint [N m]")
     contact_friction: NonNegative = Field(default=0.0, description="friction coefficient of the contacts [1]")
-    armature: NonNegative | None = Field(
-        default=None, description="rotor inertia of every joint; else the model's [kg m^2]"
-    )
+    armature: NonNegative | None = Field(default=None, description="rotor inertia; else the model's [kg m^2]")
     delay: Annotated[int, Strict()] = Field(default=0, ge=0, le=1000, description="extra delay of the torque [ticks]")
     noise: Noise = Field(default_factory=Noise, description="measurement noise, standard deviations")
 
@@ -99,10 +96,8 @@ class Bound(Model):
             yield ("min",), f"expected at most max = {self.max:g}, got {self.min:g}"
 
 
-Bounded = Annotated[
-    Annotated[Number, Tag("<number>")] | Annotated[Bound, Tag("<map>")],
-    either("a number (an upper bound) or a mapping with min or max"),
-]
+ABound = Annotated[Bound, Tag("<map>")]
+Bounded = Annotated[ANumber | ABound, either("a number (an upper bound) or a mapping with min or max")]
 
 
 class Expect(Model):

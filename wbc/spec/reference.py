@@ -7,10 +7,10 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from .fields import Model, Named, NonNegative, Number, OneOf, Positive, Size2, Text, Vec2, Vec3
+from .fields import Model, NonNegative, Number, OneOf, Positive, Size2, Text, Vec2, Vec3, named
 from .source import Message
 
-Waypoint = Annotated[tuple[Number, ...], Named("x, y, z", "x, y, z, rx, ry, rz")]
+Waypoint = Annotated[tuple[Number, ...], Field(min_length=3, max_length=6), named("x, y, z", "x, y, z, rx, ry, rz")]
 
 
 class Curve(Model):
@@ -50,9 +50,7 @@ class Lissajous(Curve):
 class Quintic(Curve):
     """Quintic polynomials through way points, from rest to rest."""
 
-    waypoints: tuple[Waypoint, ...] = Field(
-        min_length=2, description="points x, y, z [m], or with a rotation vector rx, ry, rz [rad]"
-    )
+    waypoints: tuple[Waypoint, ...] = Field(min_length=2, description="x, y, z [m], or with a rotation vector [rad]")
     times: tuple[NonNegative, ...] = Field(description="time of each way point, increasing [s]")
 
     def _faults(self) -> Iterable[Message]:

@@ -1,14 +1,15 @@
 """YAML text -> a tree of plain values that remembers where every key stands.
 
 A subset of YAML 1.2: one document of mappings with text keys, lists and scalars; no aliases, anchors, merge keys or
-tags. The tree is built from parser events without recursion, so size, depth and count are refused before they cost.
+tags. The tree is built from parser events, so that size, depth and count are refused before they cost.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import Any, NoReturn
 
 import yaml
@@ -17,7 +18,7 @@ from ..errors import Fault, SpecError, did_you_mean
 
 KeyPath = tuple[str | int, ...]
 Message = tuple[KeyPath, str]  # where something is wrong, and what
-Mark = tuple[int, int]  # line and column, from 1
+Place = tuple[str, int, int]  # a file or a `--set`, line and column from 1 or 0
 
 MAX_BYTES = 256 * 1024
 MAX_DEPTH = 32
@@ -57,6 +58,9 @@ def printable(text: str, most: int = 60) -> str:
     return text if text.isprintable() else repr(text)[1:-1]
 
 
+# --- A tree, its places, and changes to it ----------------------------------------------------------------------------
+
+
 class NoSuchKey(LookupError):
     """A path that leads nowhere: where it ends, and why."""
 
@@ -66,53 +70,46 @@ class NoSuchKey(LookupError):
 
 
 def put(
-    tree: Any, path: KeyPath, value: Any, sections: Collection[KeyPath] = (), above: KeyPath = ()
+    tree: Any, path: KeyPath, value: Any, new: Collection[KeyPath] = (), above: KeyPath = ()
 ) -> tuple[Any, KeyPath]:
     """A copy of the tree with one value changed, and the path with its list positions as integers.
 
-    Every key but the last must be there, or be one of `sections`, which are made when absent.
+    Every key but the last must be there, or be one of `new`, which are made when absent.
     """
     if not path:
         return value, above
-    place: Any = path[0]
-    here, copy = (
-        (*above, place),
-        dict(tree) if isinstance(tree, Mapping) else list(tree) if isinstance(tree, list | tuple) else tree,
-    )
-    if isinstance(copy, list):
-        place = int(place) if re.fullmatch("[0-9]{1,5}", str(place)) else -1
-        if not 0 <= place < len(copy):
+    key, here = path[0], (*above, path[0])
+    copy: Any
+    if isinstance(tree, list | tuple):
+        copy, key = list(tree), int(key) if re.fullmatch("[0-9]{1,5}", str(key)) else -1
+        if not 0 <= key < len(copy):
             raise NoSuchKey(here, f"expected a position from 0 to {len(copy) - 1}")
-    elif not isinstance(copy, dict):
+        inner = copy[key]
+    elif isinstance(tree, Mapping):
+        copy, inner = dict(tree), tree.get(key, {})
+        if key not in copy and path[1:] and here not in new:
+            raise NoSuchKey(here, f"no such key{did_you_mean(str(key), map(str, copy))}")
+    else:
         raise NoSuchKey(above, f"is {printable(repr(tree))}, which has no keys of its own")
-    elif len(path) > 1 and place not in copy:
-        if here not in sections:
-            raise NoSuchKey(here, f"no such key{did_you_mean(str(place), map(str, copy))}")
-        copy[place] = {}
-    inner = copy[place] if len(path) > 1 else None
-    copy[place], done = put(inner, path[1:], value, sections, (*above, place))
+    copy[key], done = put(inner, path[1:], value, new, (*above, key))
     return copy, done
 
 
 @dataclass(frozen=True)
 class Source:
-    """A tree and where it comes from: keys of a file by `marks`, values of `--set` by `origins`."""
+    """A tree and where each of its keys comes from."""
 
     file: str = "spec"
     tree: Any = None
-    marks: Mapping[KeyPath, Mark] = field(default_factory=dict)
-    origins: Mapping[KeyPath, str] = field(default_factory=dict)
+    places: Mapping[KeyPath, Place] = field(default_factory=dict)
     found: tuple[Fault, ...] = ()  # what was wrong but could be read past
     blind: frozenset[KeyPath] = frozenset()  # where the value is not what was written; nothing more is said there
 
     def fault(self, path: KeyPath, message: str) -> Fault:
         """A fault at the nearest enclosing key that exists."""
-        for length in range(len(path), -1, -1):
-            if origin := self.origins.get(path[:length]):
-                return Fault(origin, 0, 0, dotted(path), message)
-            if mark := self.marks.get(path[:length]):
-                return Fault(self.file, *mark, dotted(path), message)
-        return Fault(self.file, 0, 0, dotted(path), message)
+        above = (path[:length] for length in range(len(path), -1, -1))
+        place = next((self.places[key] for key in above if key in self.places), (self.file, 0, 0))
+        return Fault(*place, dotted(path), message)
 
     def error(self, messages: Iterable[Message] = ()) -> SpecError:
         """Everything found while reading and afterwards, at most MAX_FAULTS of it."""
@@ -129,7 +126,7 @@ class Source:
             raise self.error()
         return self
 
-    def override(self, text: str, sections: Collection[KeyPath] = ()) -> Source:
+    def override(self, text: str, new: Collection[KeyPath] = ()) -> Source:
         """The source with one `key.path=value` applied; the value is a YAML scalar, [list] or {mapping}."""
         label = f"--set {printable(text)}"
         key, sign, value = (part.strip() for part in text.partition("="))
@@ -144,140 +141,120 @@ class Source:
             return wrong("bounds cannot be changed from the command line; change them in the file")
         try:
             given = parse(value, label).whole().tree
-            changed, path = put(self.tree, path, given, sections)
+            if isinstance(given, dict | list) and value[0] not in "[{":
+                return wrong("expected a number, a text, [a list] or {a: mapping}")
+            tree, path = put(self.tree, path, given, new)
         except SpecError as error:
             return wrong(error.faults[0].message)
         except NoSuchKey as missing:
             return wrong(missing.message, missing.path)
-        if isinstance(given, dict | list) and value[0] not in "[{":
-            return wrong("expected a number, a text, [a list] or {a: mapping}")
-        marks = {place: mark for place, mark in self.marks.items() if place[: len(path)] != path}
-        origins = {place: origin for place, origin in self.origins.items() if place[: len(path)] != path}
-        return replace(self, tree=changed, marks=marks, origins=origins | {path: label})
+        places = {at: place for at, place in self.places.items() if at[: len(path)] != path}
+        return replace(self, tree=tree, places=places | {path: (label, 0, 0)})
 
 
-@dataclass
-class _Frame:
-    """A mapping or list that is being filled."""
-
-    path: KeyPath
-    value: dict[str, Any] | list[Any]
-    key: str | None = None  # whose value comes next
-    lines: dict[str, int] = field(default_factory=dict)
+# --- Reading ----------------------------------------------------------------------------------------------------------
 
 
-class _Tree:
-    """Consumes parser events, one at a time."""
+class _Reader:
+    """Makes the tree from parser events. MAX_DEPTH bounds the recursion."""
 
-    def __init__(self, file: str) -> None:
-        self.file, self.root, self.count = file, None, 0
-        self.marks: dict[KeyPath, Mark] = {}
+    def __init__(self, file: str, events: Iterator[yaml.Event]) -> None:
+        self.file, self.events, self.count = file, events, 0
+        self.places: dict[KeyPath, Place] = {}
         self.found: list[Fault] = []
         self.blind: set[KeyPath] = set()
-        self.stack: list[_Frame] = []
 
-    def add(self, event: yaml.Event) -> None:
-        mark = _place(event.start_mark)
-        if isinstance(event, yaml.DocumentStartEvent) and self.count:
-            self.stop(mark, "a second document begins here; a spec is one document")
-        elif isinstance(event, yaml.CollectionEndEvent):
-            self.stack.pop()
-        elif isinstance(event, yaml.NodeEvent):
-            self.count += 1
-            if self.count > MAX_VALUES:
-                self.stop(mark, f"more than {MAX_VALUES} keys and values")
-            frame = self.stack[-1] if self.stack else None
-            if frame and isinstance(frame.value, dict) and frame.key is None:
-                self._key(event, mark, frame)
-            else:
-                self._value(event, mark, frame)
+    def document(self) -> Any:
+        tree: Any = None
+        for event in self.events:
+            if isinstance(event, yaml.DocumentStartEvent) and self.count:
+                self.stop(event.start_mark, "a second document begins here; a spec is one document")
+            if isinstance(event, yaml.NodeEvent):
+                tree = self._value(event, ())
+        return tree
 
-    def stop(self, mark: Mark, message: str) -> NoReturn:
-        raise SpecError([*self.found, Fault(self.file, *mark, "", message)])
+    def stop(self, mark: Any, message: str) -> NoReturn:
+        raise SpecError([*self.found, Fault(*self.place(mark), "", message)])
 
-    def _report(self, path: KeyPath, message: str, mark: Mark, blind: bool = True) -> None:
-        self.found.append(Fault(self.file, *mark, dotted(path), message))
-        self.blind |= {path} if blind else set()
+    def place(self, mark: Any) -> Place:
+        return (self.file, mark.line + 1, mark.column + 1) if mark else (self.file, 1, 1)
 
-    def _key(self, event: yaml.NodeEvent, mark: Mark, frame: _Frame) -> None:
-        if not isinstance(event, yaml.ScalarEvent):
-            self.stop(mark, "expected a plain name as a key, got an alias, a list or a mapping")
-        frame.key = key = event.value
-        path = (*frame.path, key)
-        if key == "<<":
-            self._report(path, "merge keys are not supported; write the keys out", mark)
-        elif key in frame.lines:
-            self._report(path, f"given twice; first on line {frame.lines[key]}", mark, blind=False)
-        frame.lines.setdefault(key, mark[0])
-        self._enter(event, path, mark)
-
-    def _value(self, event: yaml.NodeEvent, mark: Mark, frame: _Frame | None) -> None:
-        path: KeyPath = ()
-        if frame:
-            path = (*frame.path, len(frame.value) if frame.key is None else frame.key)
-        self._enter(event, path, mark)
-        value: Any = None
+    def _value(self, event: Any, path: KeyPath) -> Any:
+        self._enter(event, path)
         if isinstance(event, yaml.ScalarEvent):
-            value = scalar(event.value) if event.implicit[0] and not event.style else event.value
-        elif isinstance(event, yaml.CollectionStartEvent):
-            value = {} if isinstance(event, yaml.MappingStartEvent) else []
-            self.stack.append(_Frame(path, value))
-            if len(self.stack) > MAX_DEPTH:
-                self.stop(mark, f"nested more than {MAX_DEPTH} levels deep")
-        if frame is None:
-            self.root = value
-        elif isinstance(frame.value, list):
-            frame.value.append(value)
-        else:
-            frame.value.setdefault(frame.key or "", value)  # of a key given twice the first value stays
-            frame.key = None
-
-    def _enter(self, event: yaml.NodeEvent, path: KeyPath, mark: Mark) -> None:
-        """Remember the place of a key or value, and refuse what the subset leaves out."""
-        self.marks.setdefault(path, mark)
+            return scalar(event.value) if event.implicit[0] and not event.style else event.value
         if isinstance(event, yaml.AliasEvent):
-            self._report(path, f"aliases (*{event.anchor}) are not supported; write the value out", mark)
+            return None
+        if len(path) >= MAX_DEPTH:
+            self.stop(event.start_mark, f"nested more than {MAX_DEPTH} levels deep")
+        inner = takewhile(lambda each: not isinstance(each, yaml.CollectionEndEvent), self.events)
+        if isinstance(event, yaml.SequenceStartEvent):
+            return [self._value(each, (*path, place)) for place, each in enumerate(inner)]
+        tree: dict[str, Any] = {}
+        lines: dict[str, int] = {}
+        for each in inner:
+            key = self._key(each, path, lines)
+            tree.setdefault(key, self._value(next(self.events), (*path, key)))  # of a key given twice the first stays
+        return tree
+
+    def _key(self, event: Any, path: KeyPath, lines: dict[str, int]) -> str:
+        if not isinstance(event, yaml.ScalarEvent):
+            self.stop(event.start_mark, "expected a plain name as a key, got an alias, a list or a mapping")
+        key: str = event.value
+        if key == "<<":
+            self._report(event, (*path, key), "merge keys are not supported; write the keys out")
+        elif key in lines:
+            self._report(event, (*path, key), f"given twice; first on line {lines[key]}", blind=False)
+        lines.setdefault(key, self.place(event.start_mark)[1])
+        self._enter(event, (*path, key))
+        return key
+
+    def _enter(self, event: Any, path: KeyPath) -> None:
+        """Remember the place of a key or value, and refuse what the subset leaves out."""
+        self.places.setdefault(path, self.place(event.start_mark))
+        self.count += 1
+        if self.count > MAX_VALUES:
+            self.stop(event.start_mark, f"more than {MAX_VALUES} keys and values")
+        if isinstance(event, yaml.AliasEvent):
+            self._report(event, path, f"aliases (*{event.anchor}) are not supported; write the value out")
         elif event.anchor is not None:
-            self._report(path, f"anchors (&{event.anchor}) are not supported", mark, blind=False)
+            self._report(event, path, f"anchors (&{event.anchor}) are not supported", blind=False)
         if (tag := getattr(event, "tag", None)) is not None:
-            self._report(path, f"tags ({printable(tag)}) are not supported; write the plain value", mark)
+            self._report(event, path, f"tags ({printable(tag)}) are not supported; write the plain value")
         if bad := _UNPRINTABLE.search(getattr(event, "value", "")):
-            self._report(path, f"control character {bad[0]!r} in a text", mark)
+            self._report(event, path, f"control character {bad[0]!r} in a text")
+
+    def _report(self, event: Any, path: KeyPath, message: str, blind: bool = True) -> None:
+        self.found.append(Fault(*self.place(event.start_mark), dotted(path), message))
+        self.blind |= {path} if blind else set()
 
 
 def parse(data: bytes | str, file: str) -> Source:
     """Read one document. What cannot be read past raises SpecError; the rest stands in `found`."""
-    tree, text = _Tree(file), _text(data, file)
+    reader = _Reader(file, yaml.parse(_text(data, file), Loader=_LOADER))
     try:
-        for event in yaml.parse(text, Loader=_LOADER):
-            tree.add(event)
+        tree = reader.document()
     except yaml.MarkedYAMLError as error:
-        begun = f" {error.context} that begins on line {_place(error.context_mark)[0]}" if error.context_mark else ""
-        tree.stop(_place(error.problem_mark), f"not readable as YAML: {error.problem}{begun}")
+        begun = (
+            f" {error.context} that begins on line {reader.place(error.context_mark)[1]}" if error.context_mark else ""
+        )
+        reader.stop(error.problem_mark, f"not readable as YAML: {error.problem}{begun}")
     except yaml.YAMLError as error:
-        tree.stop((1, 1), f"not readable as YAML: {printable(str(error), 200)}")
-    return Source(file, tree.root, tree.marks, {}, tuple(tree.found), frozenset(tree.blind))
-
-
-def _place(mark: Any) -> Mark:
-    return (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        reader.stop(None, f"not readable as YAML: {printable(str(error), 200)}")
+    return Source(file, tree, reader.places, tuple(reader.found), frozenset(reader.blind))
 
 
 def _text(data: bytes | str, file: str) -> str:
     """Decoded and printable text, or a fault at the first byte that is neither."""
-
-    def wrong(before: str, message: str) -> SpecError:
-        *lines, last = re.split("\r\n|\r|\n", before)
-        return SpecError([Fault(file, len(lines) + 1, len(last) + 1, "", message)])
-
     if len(data) > MAX_BYTES:
-        raise wrong("", f"larger than {MAX_BYTES // 1024} KiB, which no spec is")
-    try:
-        text = data if isinstance(data, str) else data.decode()
-    except UnicodeDecodeError as error:
-        before = error.object[: error.start].decode()
-        raise wrong(before, f"byte 0x{error.object[error.start]:02x} is not UTF-8; save the file as UTF-8") from None
+        raise SpecError([Fault(file, 1, 1, "", f"larger than {MAX_BYTES // 1024} KiB, which no spec is")])
+    text = data if isinstance(data, str) else data.decode(errors="surrogateescape")
     if bad := _UNPRINTABLE.search(text):
-        what = "a byte order mark; save the file without it" if bad[0] == "\ufeff" else f"control character {bad[0]!r}"
-        raise wrong(text[: bad.start()], what)
+        what = f"control character {bad[0]!r}"
+        if bad[0] == "\ufeff":
+            what = "a byte order mark; save the file without it"
+        if "\udc80" <= bad[0] <= "\udcff":  # stands for a byte that could not be decoded
+            what = f"byte 0x{ord(bad[0]) - 0xDC00:02x} is not UTF-8; save the file as UTF-8"
+        *lines, last = re.split("\r\n|\r|\n", text[: bad.start()])
+        raise SpecError([Fault(file, len(lines) + 1, len(last) + 1, "", what)])
     return text

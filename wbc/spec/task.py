@@ -22,9 +22,7 @@ class ForceTask(Model):
     ki: Gain = Field(default=0.0, description="integral gain [1/s]")
     damping: Gain = Field(default=0.0, description="damping along the constrained axes [N m s/rad, N s/m]")
     filter: Positive | None = Field(default=None, description="cut-off of the low-pass on the measured wrench [Hz]")
-    integral_limit: NonNegative | None = Field(
-        default=None, description="bound of the integral part, each axis [N m, N]"
-    )
+    integral_limit: NonNegative | None = Field(default=None, description="bound of the integral, each axis [N m, N]")
     weight: Positive = Field(default=100.0, description="weight of the force cost, relative [1]")
 
 

@@ -1,0 +1,32 @@
+"""Every number that a shipped spec or a test is held to, in one place. A spec's `expect:` may be tighter, never looser."""
+
+from __future__ import annotations
+
+# spec -> metric -> bound, from true quantities after the first second
+SPECS: dict[str, dict[str, float]] = {
+    "eraser": {
+        "board.fz.rms_error": 0.005,  # [N] of 10 N
+        "board.mx.rms_error": 1e-3,  # [N m]
+        "board.my.rms_error": 1e-3,
+        "draw.position.rms_error": 8e-5,  # [m]
+    },
+    "eraser_noisy": {"board.fz.rms_error": 0.05},  # sensor noise of 0.2 N
+    "eraser_weak": {"board.fz.max_error": 2.0, "draw.speed.max": 0.5, "board.lost": 0},
+    "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
+}
+
+# every run, whatever its spec says
+ALWAYS = {"torque.max_excess": 1e-6, "torque_rate.max_excess": 1e-3, "ticks.degraded": 0}
+
+# torque against the closed form, relative to 1 + max |tau|
+TAU_ERROR = {"daqp": 1e-9, "proxqp": 1e-6}
+TAU_ERROR_MUJOCO = 1e-8
+KEPT_STATES = 700  # of 1 000 random ones
+
+# eraser_weak: share of ticks in which a torque limit binds, and the way back
+WEAK_SATURATED = 0.10
+WEAK_OVERSHOOT, WEAK_RECOVERY = 0.10, 0.5  # of the step, [s]
+
+# of this kind of machine; measured by benchmarks/tick.py, never asserted in a timed test
+TICK_MEDIAN_US = 150.0
+HELP_SECONDS = 0.5
