@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .controller import Output, Status
-from .errors import ProblemError
+from .errors import ProblemError, SolverError
 from .qp import Array, Problem, certify
 from .solver import TOLERANCE, Solution, Solver, answer, installed, make
 
@@ -56,14 +56,13 @@ class Recorded(NamedTuple):
 def record(built: Built, every: int | None = None, most: int = 200, progress: Progress | None = None) -> list[Recorded]:
     """Simulate a built spec and keep problems that it meets, in order of time.
 
-    Half of at most `most` are spread evenly over the run (every n-th tick with `every`), half over the ticks at which
+    Half of at most `most` are spread evenly over the run (`every` n ticks, or more), half over the ticks at which
     a limit is active. `progress` is told the number of ticks done.
     """
     from .run import run
 
     controller, half = built.controller, max(1, most // 2)
-    if every is None:
-        every = math.ceil(built.spec.duration * built.spec.rate / half)
+    every = max(every or 1, math.ceil(built.spec.duration * built.spec.rate / half))
     even, limited = _Spread(every, half), _Spread(1, half)
 
     def keep(seen: Any, out: Output) -> None:
@@ -116,11 +115,13 @@ def compare(
     from cold. `max_tau_error` [N m], against torques of at most `tau_max`, and the KKT residual are the worst over all
     answers, certified or not; None where there is none, or it is not finite.
 
-    Raises ProblemError without problems, SolverError for a solver that does not exist.
+    Raises ProblemError without problems, SolverError without solvers and for one that does not exist.
     """
     if not recorded:
         raise ProblemError("no problems to compare solvers on")
     tallies = {name: _Tally(make(solver), len(recorded)) for name, solver in _named(solvers).items()}
+    if not tallies:
+        raise SolverError("no solvers to compare")
     order, tau_max = list(tallies), 0.0
     for tally in tallies.values():
         tally.ask(recorded[0].problem)  # imports and allocates: not what is measured

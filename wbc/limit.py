@@ -164,4 +164,4 @@ def _fair(inertia: Array, effort: Array) -> Array:
     for _ in range(100):
         x2 = 1.0 / (price @ rows)
         price = price * np.sqrt(rows @ x2)
-    return np.sqrt(x2 / (rows @ x2).max())
+    return np.asarray(np.sqrt(x2 / (rows @ x2).max()))

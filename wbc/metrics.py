@@ -15,6 +15,7 @@ Figures leave out the first `settle` seconds, all but those of torque, joints an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -58,12 +59,12 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
                 mean = log[f"{task.contact}.lam"][late]
                 for i, axis in enumerate(task.axes):
                     out |= _errors(f"{task.contact}.{axis}", error[:, i])
-                    out[f"{task.contact}.{axis}.mean"] = float(mean[:, i].mean()) if late.any() else 0.0
+                    out[f"{task.contact}.{axis}.mean"] = float(mean[:, i].mean()) if late.any() else math.nan
             elif isinstance(task, MotionTask):
                 error = log[f"{name}.error"][late]
                 out |= _errors(f"{name}.position", np.linalg.norm(error[:, 3:], axis=1))
                 out |= _errors(f"{name}.rotation", np.linalg.norm(error[:, :3], axis=1))
-                out[f"{name}.speed.max"] = float(log[f"{name}.speed"][late].max(initial=0.0))
+                out[f"{name}.speed.max"] = float(log[f"{name}.speed"][late].max()) if late.any() else math.nan
         for contact in phase.contacts:
             force = np.linalg.norm(log[f"{contact}.true"], axis=1) > 0.0
             touched = np.maximum.accumulate(force) & late
@@ -73,7 +74,7 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
 
 def _errors(name: str, error: Array) -> dict[str, float]:
     if not error.size:
-        return {f"{name}.rms_error": 0.0, f"{name}.max_error": 0.0}
+        return {f"{name}.rms_error": math.nan, f"{name}.max_error": math.nan}  # nothing was measured: no bound holds
     return {f"{name}.rms_error": float(np.sqrt(np.mean(error**2))), f"{name}.max_error": float(np.abs(error).max())}
 
 

@@ -109,9 +109,8 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 def _read(path: Path) -> mujoco.MjSpec:
     try:
-        if path.suffix == ".urdf":
-            return _read_urdf(path)
-        return mujoco.MjSpec.from_file(str(path))
+        with _quietly():
+            return _read_urdf(path) if path.suffix == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, RuntimeError, OSError, ET.ParseError) as error:
         raise ModelError(f"{path}: {error}") from error
 
@@ -156,6 +155,11 @@ def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
     return mujoco.mj_id2name(model, kind, index) or f"{kind.name.removeprefix('mjOBJ_').lower()}{index}"
 
 
+def body_name(model: mujoco.MjModel, body: int) -> str:
+    """The name of a body's frame, also of a body without one."""
+    return _name(model, mujoco.mjtObj.mjOBJ_BODY, body)
+
+
 def pinocchio_model(model: mujoco.MjModel) -> pin.Model:
     """The same tree in Pinocchio: one joint for each of MuJoCo's, in its order; bodies and sites as frames.
 
@@ -178,7 +182,7 @@ def pinocchio_model(model: mujoco.MjModel) -> pin.Model:
         inertia = pin.Inertia(model.body_mass[body], np.zeros(3), np.diag(model.body_inertia[body]))
         if parent:
             out.appendBodyToJoint(parent, inertia, X * _pose(model.body_ipos[body], model.body_iquat[body]))
-        frame_of[body] = int(out.addBodyFrame(_name(model, mujoco.mjtObj.mjOBJ_BODY, body), parent, X, -1))
+        frame_of[body] = int(out.addBodyFrame(body_name(model, body), parent, X, -1))
     for site in range(model.nsite):
         body = model.site_bodyid[site]
         name = _name(model, mujoco.mjtObj.mjOBJ_SITE, site)
@@ -280,7 +284,7 @@ def disagreement(model: mujoco.MjModel, other: pin.Model, states: int = 4, seed:
             name = _name(model, mujoco.mjtObj.mjOBJ_SITE, site)
             frame = other.getFrameId(f"site:{name}" if other.existFrame(f"site:{name}") else name)
             pose = pin.updateFramePlacement(other, odata, frame)
-            J = pin.getFrameJacobian(other, odata, frame, pin.LOCAL)
+            J = pin.getFrameJacobian(other, odata, frame, pin.LOCAL).reshape(6, n)  # one column comes as a vector
             a = pin.getFrameAcceleration(other, odata, frame, pin.LOCAL).vector
             J_mj, drift_mj = site_jacobian(model, data, site)
             a_free = J @ _acceleration_offset(model, q, v)

@@ -35,8 +35,9 @@ POINTS = 4000  # of one line; a longer one keeps the extremes of its stretches
 
 def report(log: Log, summary: dict[str, Any], path: Path) -> None:
     """Write the picture of a run to `path`, a PNG of 1600 x 1200."""
-    picture = figure(log, summary)
-    FigureCanvasAgg(picture).print_figure(path, dpi=DPI, format="png", bbox_inches=picture.bbox_inches)
+    with np.errstate(all="ignore"):  # a run that broke may hold any number
+        picture = figure(log, summary)
+        FigureCanvasAgg(picture).print_figure(path, dpi=DPI, format="png", bbox_inches=picture.bbox_inches)
 
 
 def figure(log: Log, summary: dict[str, Any]) -> Figure:
@@ -45,7 +46,7 @@ def figure(log: Log, summary: dict[str, Any]) -> Figure:
     _header(fig, log, summary)
     blocks, motions = _blocks(log), [name for name in log.meta.get("motions", ()) if f"{name}.error" in log]
     top = 3.7 + max(0.0, 0.45 * (len(blocks[:BLOCKS]) - 4)) if blocks or motions else 0.01
-    place = {"left": 0.05, "right": 0.985, "top": 0.87, "bottom": 0.045, "hspace": 0.27, "wspace": 1.6}
+    place = {"left": 0.05, "right": 0.985, "top": 0.865, "bottom": 0.045, "hspace": 0.27, "wspace": 1.6}
     grid = GridSpec(3, 24, fig, **place, height_ratios=[top, 2.6, 2.7])
     split = 14 if blocks and motions else 24 if blocks else 0
     if blocks:
@@ -86,7 +87,7 @@ def _faults(log: Log, summary: dict[str, Any]) -> list[str]:
     faults = [f"simulation broke: {summary['broken']}"] if summary.get("broken") else []
     faults += ["failed: " + ", ".join(filter(None, [*failed[:4], _more(failed, 4)]))] if failed else []
     early = log.size and log["t"][-1] < log.meta.get("settle", 0.0)
-    return faults + (["ended while settling: what leaves settling out has measured nothing"] if early else [])
+    return faults + (["ended while settling: figures that leave settling out have measured nothing"] if early else [])
 
 
 # --- panels ---
@@ -107,7 +108,8 @@ def _blocks(log: Log) -> list[Block]:
 def _wrenches(fig: Figure, place: SubplotSpec, log: Log, blocks: list[Block]) -> None:
     """What each contact truly holds, its target dashed, and the error below."""
     columns = min(2, len(blocks))
-    grid = GridSpecFromSubplotSpec(-(-len(blocks[:BLOCKS]) // columns), columns, place, hspace=0.4, wspace=0.2)
+    rows = -(-len(blocks[:BLOCKS]) // columns)
+    grid = GridSpecFromSubplotSpec(rows, columns, place, hspace=0.15 * rows, wspace=0.2)
     for i, (contact, unit, index) in enumerate(blocks[:BLOCKS]):
         names, true = [log.meta["contacts"][contact][j] for j in index], log[f"{contact}.lam"][:, index]
         told = f"{contact}.target" in log
@@ -164,6 +166,8 @@ def _tracking(ax: Axes, log: Log, motions: list[str]) -> None:
             text = f"{name}.{what}: rms {_rms(error[_settled(log)]):.2g} {unit}"
             _lines(ax, log, np.maximum(error, 1e-9)[:, None], [text], COLOURS[(2 * i + j) % JOINTS])
     ax.set_yscale("log")
+    ax.minorticks_off()
+    ax.yaxis.set_major_formatter("{x:g}")
     low, high = ax.get_ylim()
     ax.set_ylim(max(low, 1e-6 * high), 10.0 ** (0.6 * len(motions) + 0.3) * high)
     _legend(ax, loc="upper right")
@@ -181,7 +185,7 @@ def _torques(ax: Axes, log: Log) -> None:
     peak = np.nan_to_num(np.abs(_share(tau, np.abs(low), np.abs(high)))).max(axis=0)
     order = np.argsort(-peak, kind="stable")
     first, rest = np.sort(order[:JOINTS]), order[JOINTS:]
-    told = [f"{_short(names[i].removesuffix('_joint'), 16)}  {peak[i]:.0%}" for i in first]
+    told = [f"{_short(names[i].removesuffix('_joint'), 16)}  {min(peak[i], 9.99):.0%}" for i in first]
     _lines(ax, log, share[:, rest], f"{rest.size} others", PALE, linewidth=0.8)
     _lines(ax, log, share[:, first], told, linewidth=1.4)
     _lines(ax, log, np.array(list({edge.tobytes(): edge for edge in edges}.values())).T, "limit", BAD, linewidth=1.2)
@@ -221,7 +225,7 @@ def _times(ax: Axes, log: Log) -> None:
     us, period = np.maximum(_known(log["step_us"]), 1e-3).ravel(), 1e6 * float(log.meta["dt"])
     p50, p99, last = np.percentile(us, [50, 99, 100])
     low, high = 0.8 * min(us.min(), period), 1.25 * max(last, period)
-    ax.hist(us, np.geomspace(low, high, 70).tolist(), color=COLOURS[0], alpha=0.55)
+    ax.stairs(*np.histogram(us, np.geomspace(low, high, 70)), fill=True, color=COLOURS[0], alpha=0.55)
     for x, text, colour, style in (
         (p50, f"p50 {p50:.0f}", INK, "-"),
         (p99, f"p99 {p99:.0f}, max {last:.0f}", INK, (0, (4, 3))),
@@ -267,16 +271,19 @@ def _row(ax: Axes, y: int, cells: Sequence[str], colour: str) -> None:
 
 def _axes(ax: Axes, title: str, log: Log | None = None) -> Axes:
     """The house style; with a log, a time axis on which the settling time is shaded."""
-    ax.set_title(title, loc="left", size=11, weight="bold", color=INK, parse_math=False)
+    ax.set_title(title, loc="left", y=1.0, size=11, weight="bold", color=INK, parse_math=False)
     ax.grid(color=GRID, linewidth=0.7)
     ax.tick_params(colors=INK, labelsize=8, length=0)
     ax.set(facecolor="white", axisbelow=True)
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_major_formatter("{x:g}")
     for side, spine in ax.spines.items():
         spine.set(visible=side in ("left", "bottom"), color=MUTED)
     if log is not None and "t" in log:
         start, end = log["t"][0], log["t"][-1] + log.meta["dt"]
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
         ax.axvspan(start, max(start, min(log.meta.get("settle", 0.0), end)), color=SHADE, linewidth=0, zorder=0)
+        ax.locator_params(axis="x", nbins=8)
         ax.xaxis.set_major_formatter("{x:g} s")
     return ax
 
@@ -344,7 +351,8 @@ def _rms(y: Array) -> float:
 def _share(x: Array, down: Array, up: Array) -> Array:
     """x (N, n) over the upper limit where it is positive, else over the lower one; NaN where there is no limit."""
     scale = np.where(x >= 0.0, up, down)
-    return np.divide(x, scale, out=np.full(x.shape, np.nan), where=np.isfinite(x) & np.isfinite(scale) & (scale > 0.0))
+    known = np.isfinite(x) & np.isfinite(scale) & (scale > 0.0)
+    return np.where(known, x, np.nan) / np.where(known, scale, 1.0)
 
 
 def _short(text: str, length: int) -> str:

@@ -124,11 +124,28 @@ class _Block(NamedTuple):
     C: Array = np.zeros((0, 0))
 
 
+def _check(rows: Rows, variables: Variables) -> None:
+    """Raises ProblemError where rows fit neither the variables nor each other."""
+    m = np.size(rows.lo)
+    if np.shape(rows.lo) != (m,) or np.shape(rows.hi) != (m,):
+        raise ProblemError(
+            f"rows {rows.name!r}: lo has shape {np.shape(rows.lo)}, hi {np.shape(rows.hi)}; expected (m,)"
+        )
+    for name, A in rows.A.items():
+        place = variables[name]
+        expected, got = (m, place.stop - place.start), (m, m) if A is None else np.shape(A)
+        if got != expected:
+            what = "the identity has" if A is None else "has"
+            raise ProblemError(f"rows {rows.name!r}: A[{name!r}] {what} shape {got}, expected {expected}")
+    if rows.labels and len(rows.labels) != m:
+        raise ProblemError(f"rows {rows.name!r}: {len(rows.labels)} labels for {m} rows")
+
+
 class Workspace:
     """Storage of one structure of the problem, filled in place tick by tick.
 
     Parameters: the variables, and one sample of every hard row block. Blocks keep their shape and kind: equalities
-    (`lo is hi`), bounds on one variable (`A = {name: None}`), inequalities.
+    (`lo is hi`), bounds on one variable (`A = {name: None}`), inequalities. Raises ProblemError when rows do not fit.
     """
 
     def __init__(self, variables: Variables, hard: Sequence[Rows]) -> None:
@@ -137,7 +154,11 @@ class Workspace:
         bounded: set[str] = set()
         kinds: dict[str, list[Rows]] = {"equality": [], "bound": [], "inequality": []}
         for rows in hard:
+            _check(rows, variables)
             kinds[self._kind(rows, bounded)].append(rows)
+        names = [rows.name for rows in hard]
+        if len(set(names)) < len(names):
+            raise ProblemError(f"hard rows need names of their own, got {', '.join(names)}")
         m = sum(rows.lo.size for kind in ("equality", "inequality") for rows in kinds[kind])
         n_eq = sum(rows.lo.size for rows in kinds["equality"])
         buffer = np.zeros((n + m) * n + n)  # H over C, then g: one sum finds a number that is not finite
@@ -155,10 +176,6 @@ class Workspace:
             stop = start + rows.lo.size
             columns = {name: stack[start:stop, variables[name]] for name in rows.A}
             for name, A in rows.A.items():
-                if np.shape(columns[name]) != (np.shape(A) if A is not None else (rows.lo.size, rows.lo.size)):
-                    raise ProblemError(
-                        f"rows {rows.name!r}: A[{name!r}] has shape {np.shape(A)}, expected {columns[name].shape}"
-                    )
                 if A is None:  # the identity stays in place for good
                     columns.pop(name)[:] = np.eye(rows.lo.size)
             self._blocks[rows.name] = _Block(lo[start:stop], hi[start:stop], columns, stack[start:stop])
@@ -211,8 +228,9 @@ class Workspace:
             column[:] = rows.A[name]
 
     def product(self, name: str, x: Array) -> Array:
-        """C x of the hard block `name`."""
-        return self._blocks[name].C.dot(x)
+        """C x of the hard block `name`; for columns x (n, k) those of C x."""
+        value: Array = self._blocks[name].C.dot(x)
+        return value
 
     def fault(self) -> str:
         """Why the assembled problem must not reach a solver, or ""."""

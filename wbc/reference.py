@@ -64,7 +64,7 @@ def sine(amplitude: float, period: float, phase: float = 0.0, centre: float = 0.
 
 def _ease(t: float, over: float) -> tuple[float, float, float]:
     """Path time and its derivatives: its rate rises as a quintic from 0 to 1."""
-    if t >= over:
+    if t >= over or over == 0.0:
         return t - over / 2, 1.0, 0.0
     u = max(t / over, 0.0)
     return over * u**4 * (2.5 - 3 * u + u * u), u**3 * (10 - 15 * u + 6 * u * u), 30 * (u * (1 - u)) ** 2 / over

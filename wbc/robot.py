@@ -58,7 +58,7 @@ class State:
             model, data, index = self.robot.model, self.data, self.robot.frame_id(name)
             n = self.v.size
             T = pin.updateFramePlacement(model, data, index)
-            J = pin.getFrameJacobian(model, data, index, pin.LOCAL)
+            J = pin.getFrameJacobian(model, data, index, pin.LOCAL).reshape(6, n)  # one column comes as a vector
             # computeAllTerms leaves the accelerations at vdot = 0 in data.a: they are the drift
             a = pin.getFrameAcceleration(model, data, index, pin.LOCAL).vector
             table = np.empty((6, n + 2))
@@ -121,7 +121,7 @@ class Robot:
         model = models.pinocchio_model(mj)
         error = models.require_agreement(mj, model)
         low, high = models.torque_limits(mj)
-        limited = mj.jnt_limited.astype(bool)
+        q_min, q_max = _position_limits(mj)
         keyframes = {"home": mj.qpos0} | {name: qpos for name, qpos in keys.items() if qpos.size == mj.nq}
         damping = np.array([np.ravel(d)[0] for d in mj.dof_damping]) if mj.nv else np.zeros(0)
         return cls(
@@ -130,8 +130,8 @@ class Robot:
             joints=tuple(model.names)[1:],
             tau_min=low,
             tau_max=high,
-            q_min=np.where(limited, mj.jnt_range[:, 0], -np.inf),
-            q_max=np.where(limited, mj.jnt_range[:, 1], np.inf),
+            q_min=q_min,
+            q_max=q_max,
             v_max=_velocity_limits(mj),
             keyframes={name: models.to_pinocchio(mj, qpos, np.zeros(mj.nv))[0] for name, qpos in keyframes.items()},
             gravity=gravity,
@@ -149,12 +149,12 @@ class Robot:
             name=model.name,
             model=model,
             joints=tuple(model.names)[1:],
-            tau_min=np.array(model.lowerEffortLimit),
-            tau_max=np.array(model.upperEffortLimit),
-            q_min=np.array(model.lowerPositionLimit),
-            q_max=np.array(model.upperPositionLimit),
-            v_max=np.array(model.upperVelocityLimit),
-            keyframes={"home": pin.neutral(model)} | dict(model.referenceConfigurations.todict()),
+            tau_min=_stated(model.lowerEffortLimit),
+            tau_max=_stated(model.upperEffortLimit),
+            q_min=_per_velocity(model, model.lowerPositionLimit, -np.inf),
+            q_max=_per_velocity(model, model.upperPositionLimit, np.inf),
+            v_max=_stated(model.upperVelocityLimit),
+            keyframes={"home": pin.neutral(model)} | {k.key(): np.array(k.data()) for k in model.referenceConfigurations},
             gravity=gravity,
             damping=damping,
         )
@@ -220,7 +220,7 @@ class Robot:
                 continue
             if body != root and mj.body_jntnum[body]:
                 raise ModelError(f"a joint moves the load below sensor {frame_name!r}; expected a rigid tool")
-            joint_T_body = self.model.frames[self.frame_id(mj.body(body).name)].placement
+            joint_T_body = self.model.frames[self.frame_id(models.body_name(mj, body))].placement
             at = models._pose(mj.body_ipos[body], mj.body_iquat[body])
             own = pin.Inertia(mj.body_mass[body], np.zeros(3), np.diag(mj.body_inertia[body]))
             total += (frame.placement.actInv(joint_T_body) * at).act(own)
@@ -236,6 +236,29 @@ class Robot:
                 reach = np.maximum(reach, np.abs(self.state(q, np.zeros(self.nv)).frame(frame_name).J).max(axis=1))
             self._axes[frame_name] = tuple(int(i) for i in np.flatnonzero(reach > 1e-9))  # type: ignore[attr-defined]
         return self._axes[frame_name]  # type: ignore[attr-defined,no-any-return]
+
+
+def _position_limits(mj: Any) -> tuple[Array, Array]:
+    """(nv,), (nv,) ranges of hinges and slides."""
+    low, high = np.full(mj.nv, -np.inf), np.full(mj.nv, np.inf)
+    for joint in np.flatnonzero(mj.jnt_limited):
+        if mj.jnt_type[joint] >= 2:  # a ball's range is an angle, not a coordinate's
+            low[mj.jnt_dofadr[joint]], high[mj.jnt_dofadr[joint]] = mj.jnt_range[joint]
+    return low, high
+
+
+def _stated(limit: Array) -> Array:
+    """Pinocchio's largest number means that nothing is stated."""
+    return np.where(np.abs(limit) > 1e300, np.copysign(np.inf, limit), limit)
+
+
+def _per_velocity(model: pin.Model, limit: Array, none: float) -> Array:
+    """(nv,) of a (nq,) limit; joints with more coordinates than velocities have none."""
+    out = np.full(model.nv, none)
+    for joint in list(model.joints)[1:]:
+        if joint.nq == joint.nv:
+            out[joint.idx_v : joint.idx_v + joint.nv] = limit[joint.idx_q : joint.idx_q + joint.nq]
+    return _stated(out)
 
 
 def _velocity_limits(mj: Any) -> Array:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from .errors import ModelError, SimulationError
 from .model import to_pinocchio
@@ -47,6 +48,7 @@ class Simulator:
         self._delayed: deque[Array] = deque(maxlen=(plant.delay if plant is not None else 0) + 1)
         self._sensor = ForceSensor(robot) if all(_has_sensor(self.model, name) for name in SENSORS) else None
         self._gear = _actuators(self.model)
+        self._driver = robot.model.createData()
 
     def observe(self) -> Observation:
         """Kinematics at the present state, as the encoders see it."""
@@ -58,7 +60,13 @@ class Simulator:
         return Observation(self.data.time, q, v)
 
     def apply(self, tau: Array) -> None:
-        """Send a torque (nv,) [N m], after the plant's delay, and go on to the next tick."""
+        """Send a torque (nv,) [N m], after the plant's delay, and go on to the next tick.
+
+        A robot whose driver adds gravity does so here, from its nominal model.
+        """
+        if self.robot.gravity == "robot":
+            q, _ = to_pinocchio(self.model, self.data.qpos, self.data.qvel)
+            tau = tau + pin.computeGeneralizedGravity(self.robot.model, self._driver, q)
         self._delayed.append(tau)
         for step in range(self.substeps):
             if step:

@@ -126,13 +126,15 @@ class MotionTask:
 
 
 class ForceLoop(NamedTuple):
-    """One force loop at a tick; `filtered` (6,) and `integral` are its memory.
+    """One force loop at a tick; `filtered`, `integral`, `yielded` and `last` are its memory.
 
     `error` and `integral` are over the multipliers (k,) or, under the book's law, over the whole wrench (6,).
     """
 
-    filtered: Array | None = None
+    filtered: Array | None = None  # (6,) measured wrench
     integral: Array = _NOTHING  # [N s, N m s]
+    yielded: Array | None = None  # (k,) what limits took from the command, filtered as the wrench is; None: nothing
+    last: Array | None = None  # (k,) what they took in the last tick
     error: Array = _NOTHING
     command: Array = _NOTHING  # (k,) the multipliers asked for
 
@@ -142,7 +144,8 @@ class ForceTask:
 
     Parameters: `contact` and its object; `target` t -> lambda_d (k,) [N, N m] or an array; `kp`, `ki` [1/s], `damping`
     [N s/m, N m s/rad] over the contact's axes; `filter`: cutoff of the measured wrench [Hz] or None; `integral_limit`
-    on Ki int e [N, N m]. The error is that of the constrained axes alone, e = lambda_d - (A')^+ F. `law="book"`
+    on Ki int e [N, N m]. The error is that of the constrained axes alone, e = lambda_d - (A')^+ F, less what limits took
+    from the command, which is no error (anti-windup; exactly zero while no limit is active). `law="book"`
     projects the whole measured F_e by I - P, and leaves the bias Lam Adot V in the force.
     """
 
@@ -194,12 +197,23 @@ class ForceTask:
         loop, measured = state.loops[self.contact], state.measured.get(self.contact)
         size = 6 if self._book else desired.size
         integral = loop.integral if loop.integral.size == size else np.zeros(size)
+        yielded = self._yielded(loop, state.dt)
         if measured is None:
-            return ForceLoop(loop.filtered, integral, np.zeros(size))
+            return ForceLoop(loop.filtered, integral, yielded, None, np.zeros(size))
         filtered = loop.filtered
         filtered = measured if filtered is None else filtered + self.smoothing(state.dt) * (measured - filtered)
+        # what a limit took is no error: counted as one, it would wind up, and strike when the limit lets go
+        desired = desired if yielded is None else desired + yielded
         error = held.A.T.dot(desired) - filtered if self._book else desired - held.inverse.dot(filtered)
-        return ForceLoop(filtered, integral, error)
+        return ForceLoop(filtered, integral, yielded, None, error)
+
+    def _yielded(self, loop: ForceLoop, dt: float) -> Array | None:
+        if loop.yielded is None and loop.last is None:
+            return None
+        past = np.zeros(self._held_by.k) if loop.yielded is None else loop.yielded
+        last = 0.0 if loop.last is None else loop.last
+        now: Array = past + self.smoothing(dt) * (last - past)
+        return now if now.dot(now) > 1e-20 else None
 
     def rows(self, state: State) -> Rows:
         held: Held = state.contacts[self.contact]
@@ -224,18 +238,15 @@ class ForceTask:
         return Rows("", {self.contact: None}, command, command, metric)
 
     def advance(self, state: State, lam: Array) -> ForceLoop:
-        """The memory for the next tick; the integral waits on axes where a limit keeps the force from its command."""
+        """The memory for the next tick, from the multipliers (k,) that the limits allowed."""
         loop: ForceLoop = state.loops[self.contact]
-        step = state.dt * loop.error
-        if not self._book:
-            short = loop.command - lam
-            if short.dot(short) > 1e-12 * (1.0 + loop.command.dot(loop.command)):
-                step = np.where(short * step > 0.0, 0.0, step)
-        integral = loop.integral + step
+        integral = loop.integral + state.dt * loop.error
         if self.integral_limit < math.inf:
             bound = self.integral_limit / np.maximum(self.Ki.diagonal(), 1e-12)
             integral = np.clip(integral, -bound, bound)
-        return ForceLoop(loop.filtered, integral)
+        last = lam - loop.command
+        negligible = last.dot(last) <= 1e-14 * (1.0 + loop.command.dot(loop.command))
+        return ForceLoop(loop.filtered, integral, loop.yielded, None if negligible else last)
 
 
 class PostureTask:

@@ -166,7 +166,9 @@ class Oracle:
     def _well_conditioned(self, phase: Phase, q: Array, v: Array) -> bool:
         state = self.built.robot.state(q, v)
         for task in _motion_tasks(phase):
-            J = state.frame(task.frame).J[list(self.built.robot.axes(task.frame))]
+            J = state.frame(task.frame).J
+            # a frame halfway up the arm has fewer than six axes at any one pose: what counts is what the task asks for
+            J = J[list(self.built.robot.axes(task.frame))] if task.contact is not None else task.selection @ J
             if np.linalg.cond(J @ np.linalg.solve(state.M, J.T)) > MAX_COND:
                 return False
         held = [contact.A(state) @ state.frame(contact.frame).J for contact in phase.contacts.values() if contact.k]
@@ -226,7 +228,7 @@ def closed_form(
     if len(motions) == 1 and len(held) == 1 and motions[0].contact in held:
         tau = _hybrid(robot, phase, law, state, motions[0], held, adot, commands, dynamics, vdot_posture)
     else:
-        tau = _stacked(phase, state, motions, held, adot, commands, dynamics, base, vdot_posture)
+        tau = _stacked(phase, law, state, motions, held, adot, commands, dynamics, base, vdot_posture)
     # what a rigid contact makes of that torque
     G = np.concatenate([np.zeros((0, robot.nv)), *(A @ d.J for A, d in held.values())])
     rhs = np.concatenate([np.zeros(0), *(-(held[n][0] @ held[n][1].drift + adot[n]) for n in held)])
@@ -255,7 +257,9 @@ def _hybrid(
     )  # fmt: skip
 
 
-def _stacked(phase: Phase, state: State, motions: Any, held: Any, adot: Any, commands: Any, dynamics: Any, base: Dynamics, vdot_posture: Array) -> Array:
+def _stacked(
+    phase: Phase, law: str, state: State, motions: Any, held: Any, adot: Any, commands: Any, dynamics: Any, base: Dynamics, vdot_posture: Array
+) -> Array:
     """Contacts and motion that do not span one task space: fact 9, all rows stacked."""
     G, target, drift = [], [], []
     for name, (A, d) in held.items():
@@ -274,8 +278,14 @@ def _stacked(phase: Phase, state: State, motions: Any, held: Any, adot: Any, com
         base.M, rows, np.concatenate([np.zeros(0), *target]), np.concatenate([np.zeros(0), *drift]), vdot_posture
     )
     tau = base.M @ vdot + base.h
-    for name, (_, d) in held.items():
-        tau = tau + d.J.T @ commands[name]
+    for name, (A, d) in held.items():
+        push = d.J.T @ commands[name]
+        if law == "book" and name in _force_tasks(phase):
+            # the joint form of A' (Lam A M_C^-1 F + Lam Adot V), which needs no M_C of the whole frame
+            held_rows = A @ d.J
+            lam = analytic.dynamically_consistent_inverse(d.M, held_rows).T @ push + analytic.task_inertia(d.M, held_rows) @ adot[name]
+            push = held_rows.T @ lam
+        tau = tau + push
     return tau
 
 
@@ -302,10 +312,18 @@ def _command(phase: Phase, name: str, law: str, state: State, dynamics: Any, mem
     F = given[name].F
     filtered = F if loop.filtered is None else loop.filtered + task.smoothing(state.dt) * (F - loop.filtered)
     integral = loop.integral if loop.integral.size else np.zeros(6 if law == "book" else contact.k)
+    yielded = _yielded(task, loop, state.dt)
     if law == "book":
-        return analytic.force_command(F_d, F_d - filtered, integral, task.Kp, task.Ki) - damping
-    error = analytic.multiplier_error(A, F_d - filtered)
+        return analytic.force_command(F_d, F_d + A.T @ yielded - filtered, integral, task.Kp, task.Ki) - damping
+    error = analytic.multiplier_error(A, F_d - filtered) + yielded
     return F_d + A.T @ (task.Kp @ error + task.Ki @ integral) - damping
+
+
+def _yielded(task: ForceTask, loop: ForceLoop, dt: float) -> Array:
+    """(k,) what limits took from earlier commands, as the loop's filter remembers it."""
+    past = np.zeros(task.K_damp.shape[0]) if loop.yielded is None else loop.yielded
+    last = np.zeros_like(past) if loop.last is None else loop.last
+    return past + task.smoothing(dt) * (last - past)
 
 
 def _pinocchio(state: State, name: str) -> Dynamics:

@@ -27,10 +27,9 @@ class Wrench:
     @classmethod
     def on_environment(cls, f: Array, m: Array, frame: str) -> Wrench:
         """Force f [N] and moment m [N m] that the robot applies to the environment."""
-        F = np.concatenate((np.asarray(m, float).reshape(-1), np.asarray(f, float).reshape(-1)))
-        if F.shape != (6,):
+        if np.size(f) != 3 or np.size(m) != 3:
             raise WrenchError(f"a wrench needs three forces and three moments, got {np.shape(f)} and {np.shape(m)}")
-        return cls(F, frame)
+        return cls(np.concatenate((np.ravel(m), np.ravel(f))).astype(float), frame)
 
     @classmethod
     def on_robot(cls, f: Array, m: Array, frame: str) -> Wrench:

@@ -87,7 +87,6 @@ class Bound(Model):
 
     min: Number | None = Field(default=None, description="lower bound, in the unit of the metric")
     max: Number | None = Field(default=None, description="upper bound, in the unit of the metric")
-    for_: Positive | None = Field(default=None, alias="for", description="how long it must hold without a break [s]")
 
     def _faults(self) -> Iterable[Message]:
         if self.min is None and self.max is None:

@@ -1,0 +1,63 @@
+"""What the tests share: the shipped robots, loaded once, and one seeded generator."""
+
+import numpy as np
+import pytest
+
+from wbc.robot import Robot
+
+LOADED = {
+    "panda on the board": ("panda", "eraser", "board"),
+    "panda": ("panda", None, None),
+    "ur5e": ("ur5e", None, None),
+    "planar3r": ("planar3r", None, None),
+}
+
+
+@pytest.fixture(scope="session")
+def robots():
+    """Name -> Robot, as in `LOADED`; nobody changes them."""
+    return {name: Robot.load(*files) for name, files in LOADED.items()}
+
+
+@pytest.fixture(scope="session")
+def panda(robots):
+    """With the eraser, at the board."""
+    return robots["panda on the board"]
+
+
+@pytest.fixture(scope="session")
+def bare_panda(robots):
+    return robots["panda"]
+
+
+@pytest.fixture(scope="session")
+def ur5e(robots):
+    return robots["ur5e"]
+
+
+@pytest.fixture(scope="session")
+def planar3r(robots):
+    return robots["planar3r"]
+
+
+@pytest.fixture(params=LOADED)
+def robot(request, robots):
+    """Each of the shipped robots in turn."""
+    return robots[request.param]
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20250)
+
+
+@pytest.fixture
+def draw(rng):
+    """draw(robot) -> a random state: q within a radian of home, v up to 1 rad/s."""
+    import pinocchio as pin
+
+    def one(robot, t=0.0):
+        q = pin.integrate(robot.model, robot.keyframes["home"], rng.uniform(-1.0, 1.0, robot.nv))
+        return robot.state(q, rng.uniform(-1.0, 1.0, robot.nv), t=t)
+
+    return one

@@ -1,0 +1,205 @@
+"""The comparison on a fifth of a second of the eraser: every solver, and some that lie."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import wbc
+from tests.bars import TAU_ERROR
+from wbc.build import build
+from wbc.compare import compare, record, table
+from wbc.errors import ProblemError, SolverError
+from wbc.qp import certify
+from wbc.solver import Daqp, answer, installed
+
+SHORT = ["duration=0.2"]
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    return record(build(wbc.load("eraser", SHORT)))
+
+
+@pytest.fixture(scope="module")
+def result(recorded):
+    return compare(recorded[::4], passes=2)
+
+
+class Changed:
+    """DAQP whose answers are changed on every second problem."""
+
+    def __init__(self, change):
+        self.inner, self.change, self.asked = Daqp(), change, 0
+
+    def solve(self, problem):
+        self.asked += 1
+        x, z = self.inner.solve(problem)
+        return self.change(x, z) if self.asked % 2 else (x, z)
+
+
+# --- recording ---
+
+
+def test_what_is_recorded_reproduces_the_torque_of_the_run(recorded):
+    """Against the log of the same run: the torque that was sent, at every recorded tick."""
+    from wbc.run import run
+
+    log = run(build(wbc.load("eraser", SHORT))).log
+    for item in recorded:
+        tick = int(np.argmin(np.abs(log["t"] - item.t)))
+        tau = item.torque(answer(Daqp(), item.problem).x)
+        np.testing.assert_allclose(tau, log["tau"][tick], atol=1e-9 * (1 + np.abs(tau).max()))
+
+
+def test_recorded_ticks_are_spread_over_the_run_and_all_limited_ones_are_there(recorded):
+    times = np.array([item.t for item in recorded])
+    assert (np.diff(times) > 0).all()
+    assert (np.diff(times) < 0.0025).all()  # half of 200, over 200 ticks
+    assert {item.spec for item in recorded} == {"eraser"}
+    limited = [item for item in recorded if item.active]
+    assert len(limited) == 5
+    assert all(name.startswith("torque_rate[") for item in limited for name in item.active)
+
+
+def test_recorded_problems_are_values(recorded):
+    one, other = recorded[0], recorded[1]
+    assert not np.shares_memory(one.problem.stack, other.problem.stack)
+    assert not np.shares_memory(one.h, other.h)
+    assert np.abs(one.problem.g - other.problem.g).max() > 0
+
+
+@pytest.mark.parametrize(("every", "most", "evenly", "limited"), [(20, 200, 10, 4), (1, 20, 10, 4), (1, 6, 3, 2)])
+def test_how_many_are_kept_is_bounded(every, most, evenly, limited):
+    kept = record(build(wbc.load("eraser", SHORT)), every=every, most=most)
+    assert len(kept) == evenly + limited  # the first tick is limited too
+    assert kept[-1].t > 0.13  # however few there are, they reach to the end
+
+
+def test_progress_is_told():
+    told = []
+    record(build(wbc.load("eraser", SHORT)), progress=told.append)
+    assert told == [50, 100, 150, 200]
+
+
+# --- comparing ---
+
+
+def test_every_installed_solver_has_an_entry(result):
+    assert list(result["solvers"]) == installed()
+    for row in result["solvers"].values():
+        assert row["solved"] + row["wrong"] + row["refused"] == result["problems"]
+        assert 0 < row["us"]["p50"] <= row["us"]["p99"] <= row["us"]["max"]
+
+
+@pytest.mark.parametrize("name", TAU_ERROR)
+def test_the_direct_solvers_solve_all_within_their_bars(result, name):
+    row = result["solvers"][name]
+    assert row["solved"] == result["problems"]
+    assert row["retried"] == 0
+    assert row["max_tau_error"] <= TAU_ERROR[name] * (1 + result["tau_max"])
+    assert row["max_kkt_residual"] <= 1e-6
+
+
+def test_no_solver_is_wrong_with_the_settings_it_is_given(result):
+    for name, row in result["solvers"].items():
+        assert row["wrong"] == 0, name
+        if row["solved"] == result["problems"]:
+            assert row["max_tau_error"] < 1e-6, name
+
+
+def test_the_result_is_json_and_a_table(result):
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
+    console = Console(width=140)
+    with console.capture() as capture:
+        console.print(table(result))
+    text = capture.get()
+    assert f"{result['problems']} quadratic programs" in text
+    assert all(name in text for name in result["solvers"])
+
+
+@pytest.mark.parametrize(
+    ("change", "least", "most"),
+    [
+        (lambda x, z: (x + 1e-3, z), 1e-4, 1.0),
+        (lambda x, z: (np.zeros_like(x), np.zeros_like(z)), 0.1, 100.0),
+        (lambda x, z: (x, z + 1e-3), 0.0, 1e-9),  # the right torque, for a wrong reason
+        (lambda x, z: (x * np.nan, z), None, None),
+        (lambda x, z: (x[:-1], z), None, None),
+        (lambda x, z: None, None, None),
+    ],
+)
+def test_a_liar_is_counted_wrong(recorded, change, least, most):
+    row = compare(recorded[:10], {"liar": Changed(change), "daqp": "daqp"}, passes=1)["solvers"]["liar"]
+    assert (row["solved"], row["wrong"], row["refused"]) == (5, 5, 0)
+    if least is None:
+        assert row["max_tau_error"] is None
+    else:
+        assert least <= row["max_tau_error"] <= most
+    json.dumps(row, allow_nan=False)
+
+
+def test_a_solver_that_gives_up_is_counted_refused(recorded):
+    def give_up(x, z):
+        raise SolverError("too hard")
+
+    row = compare(recorded[:10], {"lazy": Changed(give_up)}, passes=1)["solvers"]["lazy"]
+    assert (row["solved"], row["wrong"], row["refused"]) == (5, 0, 5)
+    assert row["max_tau_error"] < 1e-9
+
+
+def test_a_retry_from_cold_is_counted_and_timed(recorded):
+    class Forgetful(Changed):
+        def restart(self):
+            pass
+
+    row = compare(recorded[:10], {"f": Forgetful(lambda x, z: (x + 1, z))}, passes=1)["solvers"]["f"]
+    assert row["solved"] == 10
+    assert row["retried"] >= 5
+
+
+def test_without_a_certified_answer_there_is_no_torque_to_compare_with(recorded):
+    class Lost:
+        def solve(self, problem):
+            return np.ones_like(problem.g), np.zeros_like(problem.lo)
+
+    result = compare(recorded[:3], [Lost()])
+    assert result["tau_max"] == 0.0
+    row = result["solvers"]["Lost"]
+    assert (row["wrong"], row["max_tau_error"]) == (3, None)
+    assert row["max_kkt_residual"] > 1
+
+
+def test_the_reference_is_better_than_a_lone_solver(recorded):
+    """Against itself a solver has no error; against the polished answer it does."""
+    rough = compare(recorded[:20], ["proxqp"], passes=1)["solvers"]["proxqp"]
+    assert 0 < rough["max_tau_error"] < 1e-6
+
+
+def test_objects_of_one_class_get_names_of_their_own(recorded):
+    result = compare(recorded[:2], [Daqp(), Daqp(), Daqp(), "daqp"], passes=1)
+    assert list(result["solvers"]) == ["Daqp", "Daqp 2", "Daqp 3", "daqp"]
+
+
+def test_bad_input_is_said(recorded):
+    with pytest.raises(ProblemError, match="no problems to compare"):
+        compare([], ["daqp"])
+    with pytest.raises(SolverError, match="did you mean 'daqp'"):
+        compare(recorded[:1], ["dqp"])
+    with pytest.raises(SolverError, match="no solvers"):
+        compare(recorded[:1], [])
+
+
+def test_compare_tells_progress(recorded):
+    told = []
+    compare(recorded[:25], ["daqp"], passes=2, progress=told.append)
+    assert told == [10, 20, 25]
+
+
+def test_a_recorded_answer_is_certified_after_the_run(recorded):
+    for item in recorded[:10]:
+        x, z = Daqp().solve(item.problem)
+        assert max(certify(item.problem, x, z)) < 1e-9
