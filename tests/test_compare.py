@@ -14,7 +14,7 @@ from wbc.build import build
 from wbc.compare import compare, record, table
 from wbc.errors import ProblemError, SolverError
 from wbc.qp import certify
-from wbc.solver import Daqp, answer, installed
+from wbc.solver import TOLERANCE, Daqp, answer, installed
 
 SHORT = ["duration=0.2"]
 
@@ -83,6 +83,31 @@ def test_progress_is_told():
     told = []
     record(build(wbc.load("eraser", SHORT)), progress=told.append)
     assert told == [50, 100, 150, 200]
+
+
+def test_what_moves_the_torque_by_a_thousandth_is_refused(recorded, rng):
+    """Also along the weakest direction, and with multipliers of the equalities that hide the mutation best.
+
+    A dual residual r moves the torque by at most |T Z (Z' H Z)^-1 Z'| r, Z the motions that the equalities leave.
+    """
+    for item in recorded[::5]:
+        p = item.problem
+        n, n_eq = p.g.size, p.n_eq
+        x, z = Daqp().solve(p)
+        Z = np.linalg.svd(p.C[:n_eq])[2][n_eq:].T
+        reduced = Z.T @ p.H @ Z
+        bound = np.linalg.norm(item.T @ Z @ np.linalg.solve(reduced, Z.T), 2)
+        assert bound * TOLERANCE.dual < 1e-5  # [N m]: what an accepted answer can be wrong by
+        weakest = Z @ np.linalg.eigh(reduced)[1]
+        for direction in (*np.eye(n), *weakest.T, *rng.normal(size=(10, n)), *(Z @ rng.normal(size=(n - n_eq, 10))).T):
+            moved = np.abs(item.T @ direction).max()
+            if moved < 1e-6:
+                continue
+            step = direction * 1e-3 / moved
+            hidden = z.copy()
+            hidden[n : n + n_eq] -= np.linalg.lstsq(p.C[:n_eq].T, p.H @ step)[0]
+            for multipliers in (z, hidden):
+                assert not certify(p, x + step, multipliers).holds(TOLERANCE)
 
 
 # --- comparing ---

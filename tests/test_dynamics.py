@@ -1,5 +1,7 @@
 """The affine map (vdot, lambda) -> tau against MuJoCo's inverse dynamics, and inertias of row stacks."""
 
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -11,16 +13,14 @@ from wbc.wrench import Wrench
 
 
 def test_torque_map_without_contacts_is_mujocos_inverse_dynamics(robot, rng):
-    mj, data = robot.mujoco, mujoco.MjData(robot.mujoco)
+    mj = copy.copy(robot.mujoco)
     mj.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    try:
-        for _ in range(10):
-            data.qpos[:], data.qvel[:], data.qacc[:] = (rng.uniform(-1, 1, mj.nv) for _ in range(3))
-            mujoco.mj_inverse(mj, data)
-            found = torque_map(robot.state(data.qpos.copy(), data.qvel.copy()))
-            np.testing.assert_allclose(found.A["vdot"] @ data.qacc + found.b, data.qfrc_inverse, atol=1e-10)
-    finally:
-        mj.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data = mujoco.MjData(mj)
+    for _ in range(10):
+        data.qpos[:], data.qvel[:], data.qacc[:] = (rng.uniform(-1, 1, mj.nv) for _ in range(3))
+        mujoco.mj_inverse(mj, data)
+        found = torque_map(robot.state(data.qpos.copy(), data.qvel.copy()))
+        np.testing.assert_allclose(found.A["vdot"] @ data.qacc + found.b, data.qfrc_inverse, atol=1e-10)
 
 
 def test_torque_map_carries_the_contacts_wrenches(panda, draw, rng):

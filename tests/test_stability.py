@@ -88,8 +88,7 @@ def poles(damping, delay=1, axes=("fz",), masses=(3.0,)):
 def test_gains_that_pass_on_a_rigid_wall_diverge_on_an_undamped_spring_and_damping_settles_them():
     bare = {pole.stiffness: pole.radius for pole in poles(0.0)}
     assert bare.pop(None) < 1.0
-    assert all((r > 1.0) == (kappa > 1.9e3) or kappa < 2e3 for kappa, r in bare.items())
-    assert sum(r > 1.0 for r in bare.values()) >= 11
+    assert min(r for kappa, r in bare.items() if kappa >= 2e3) > 1.0
     assert max(pole.radius for pole in poles(300.0)) < 1.0
 
 

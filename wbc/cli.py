@@ -219,7 +219,7 @@ def _tell_run(summary: dict[str, Any], folder: Path) -> None:
     console = _console()
     table = Table("quantity", "value", "bound", "", title=f"{summary['spec']}: {'all held' if summary['ok'] else 'FAILED'}")
     for entry in summary["checks"]:
-        table.add_row(entry["name"], f"{entry['value']:.4g}", str(entry["bound"]), "[green]ok[/]" if entry["ok"] else "[red]missed[/]")
+        table.add_row(entry["name"], "not measured" if entry["value"] is None else f"{entry['value']:.4g}", str(entry["bound"]), "[green]ok[/]" if entry["ok"] else "[red]missed[/]")
     console.print(table)
     if "broken" in summary:
         console.print(f"[red]{summary['broken']}[/]")

@@ -294,7 +294,7 @@ class Controller:
         solution, yielded = self._solve(structure, state, bounds)
         if not solution.accepted:
             return self._hold(solution.reason)
-        return self._accept(structure, state, solution, yielded, tau_last, bounds, memory._replace(t=t), refused, missed)
+        return self._accept(structure, state, solution, yielded, tau_last, bounds, memory, t, refused, missed)
 
     def _advance_time(self, memory: Memory, t: float) -> Memory:
         if memory.t is None:
@@ -398,7 +398,7 @@ class Controller:
 
     def _accept(
         self, structure: _Structure, state: State, solution: Solution, yielded: bool, tau_last: Array,
-        bounds: tuple[Array, Array], memory: Memory, refused: list[str], missed: int,
+        bounds: tuple[Array, Array], memory: Memory, t: float, refused: list[str], missed: int,
     ) -> Output:  # fmt: skip
         workspace = structure.yielding if yielded else structure.strict
         assert workspace is not None
@@ -426,7 +426,7 @@ class Controller:
         by_robot = self.robot.gravity == "robot"
         gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
-            memory.t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
+            t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
             state.targets, status, 0, good,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()

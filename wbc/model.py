@@ -311,11 +311,15 @@ def _note(worst: dict[str, float], name: str, ours: Array, theirs: Array) -> Non
 
 def site_jacobian(model: mujoco.MjModel, data: mujoco.MjData, site: int) -> tuple[Array, Array]:
     """Body Jacobian (6, nv) of a site and its drift Jdot v (6,), angular first, from MuJoCo alone."""
-    n, body = model.nv, model.site_bodyid[site]
-    R = data.site_xmat[site].reshape(3, 3)
-    Jp, Jr, dJp, dJr = (np.zeros((3, n)) for _ in range(4))
-    mujoco.mj_jacSite(model, data, Jp, Jr, site)
-    mujoco.mj_jacDot(model, data, dJp, dJr, data.site_xpos[site].copy(), body)
+    R, p = data.site_xmat[site].reshape(3, 3), data.site_xpos[site].copy()
+    return point_jacobian(model, data, model.site_bodyid[site], R, p)
+
+
+def point_jacobian(model: mujoco.MjModel, data: mujoco.MjData, body: int, R: Array, p: Array) -> tuple[Array, Array]:
+    """The same of a frame at (R, p) in the world that is fixed to a body."""
+    Jp, Jr, dJp, dJr = (np.zeros((3, model.nv)) for _ in range(4))
+    mujoco.mj_jac(model, data, Jp, Jr, p, body)
+    mujoco.mj_jacDot(model, data, dJp, dJr, p, body)
     w, v = R.T @ Jr @ data.qvel, R.T @ Jp @ data.qvel
     # body axes turn with the body: d/dt(R' x) = R' xdot - w x (R' x)
     drift = np.r_[R.T @ dJr @ data.qvel, R.T @ dJp @ data.qvel - np.cross(w, v)]

@@ -106,14 +106,12 @@ class Path:
         self._R, self._p = origin.rotation.copy(), origin.translation.copy()
         self._turns = [(i, self.along[i]) for i in _ROTATIONS if i in self.along]
         still = (0.0, 0.0, 0.0)
-        self._shifts = [self.along.get(i, lambda t: still) for i in (3, 4, 5)]
+        self._x, self._y, self._z = (self.along.get(i, lambda t: still) for i in (3, 4, 5))
 
     def __call__(self, t: float) -> Sample:
-        x, y, z = (shift(t) for shift in self._shifts)
-        d = np.array((x, y, z))  # rows: axes; columns: position, velocity, acceleration
-        R, p = self._R, self._R.dot(d[:, 0]) + self._p
-        motion = np.zeros((6, 2))
-        motion[3:] = d[:, 1:]
+        (x, vx, ax), (y, vy, ay), (z, vz, az) = self._x(t), self._y(t), self._z(t)
+        R, p = self._R, self._R.dot(np.array([x, y, z])) + self._p
+        motion = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, vx, ax, vy, ay, vz, az]).reshape(6, 2)
         for axis, turn in self._turns:
             s, rate, bend = turn(t)
             if s == 0.0 and rate == 0.0 and bend == 0.0:

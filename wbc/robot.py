@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.linalg.lapack import dposv, dpotrs
 
 from . import model as models
 from .errors import ModelError, NameNotFound
@@ -72,7 +72,8 @@ class State:
     def solve_M(self, B: Array) -> Array:
         """M^-1 B by Cholesky, factored once a tick."""
         if self._L is None:
-            self._L = dpotrf(self.M, lower=1)[0]
+            self._L, X, _ = dposv(self.M, B, lower=1)
+            return X
         return dpotrs(self._L, B, lower=1)[0]
 
     def gravity(self) -> Array:

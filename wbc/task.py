@@ -191,21 +191,21 @@ class ForceTask:
                 lam[i] = state.targets.get(f"{self.contact}.{axis}", lam[i])
         return lam
 
-    def sense(self, state: State, desired: Array) -> ForceLoop:
-        """Filter the measured wrench and take the error; without a sensor the loop is open (book 11.33)."""
+    def sense(self, state: State, desired: Array) -> tuple[Array | None, Array, Array | None, Array]:
+        """Filtered wrench, integral, what limits took, error; without a sensor the loop is open (book 11.33)."""
         held: Held = state.contacts[self.contact]
         loop, measured = state.loops[self.contact], state.measured.get(self.contact)
         size = 6 if self._book else desired.size
         integral = loop.integral if loop.integral.size == size else np.zeros(size)
         yielded = self._yielded(loop, state.dt)
         if measured is None:
-            return ForceLoop(loop.filtered, integral, yielded, None, np.zeros(size))
+            return loop.filtered, integral, yielded, np.zeros(size)
         filtered = loop.filtered
         filtered = measured if filtered is None else filtered + self.smoothing(state.dt) * (measured - filtered)
         # what a limit took is no error: counted as one, it would wind up, and strike when the limit lets go
         desired = desired if yielded is None else desired + yielded
         error = held.A.T.dot(desired) - filtered if self._book else desired - held.inverse.dot(filtered)
-        return ForceLoop(filtered, integral, yielded, None, error)
+        return filtered, integral, yielded, error
 
     def _yielded(self, loop: ForceLoop, dt: float) -> Array | None:
         if loop.yielded is None and loop.last is None:
@@ -218,9 +218,9 @@ class ForceTask:
     def rows(self, state: State) -> Rows:
         held: Held = state.contacts[self.contact]
         command = self.desired(state)
-        loop = self.sense(state, command)
-        feedback = self.Kp.dot(loop.error)
-        feedback += self.Ki.dot(loop.integral)
+        filtered, integral, yielded, error = self.sense(state, command)
+        feedback = self.Kp.dot(error)
+        feedback += self.Ki.dot(integral)
         G, _, K = state.primary
         k = command.size
         # a motion task on this contact has computed the mobility already: its rows begin with the contact's
@@ -234,7 +234,7 @@ class ForceTask:
         else:
             command = command + feedback
         command -= self.K_damp.dot(held.slip)
-        state.loops[self.contact] = loop._replace(command=command)
+        state.loops[self.contact] = ForceLoop(filtered, integral, yielded, None, error, command)
         return Rows("", {self.contact: None}, command, command, metric)
 
     def advance(self, state: State, lam: Array) -> ForceLoop:

@@ -20,7 +20,7 @@ from . import analytic
 from .build import Built, build
 from .controller import Controller, Memory, Phase
 from .limit import TorqueLimit
-from .model import site_jacobian
+from .model import body_name, point_jacobian
 from .qp import Array
 from .robot import Robot, State
 from .run import run
@@ -204,10 +204,16 @@ class Oracle:
         mujoco.mj_fullM(model, data, M)
 
         def of(name: str) -> Dynamics:
-            site = model.site(name).id
-            J, drift = site_jacobian(model, data, site)
-            T = np.eye(4)
-            T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
+            T, body = np.eye(4), mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+            site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name.removeprefix("site:"))
+            if site >= 0 > body:
+                body = model.site_bodyid[site]
+                T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
+            else:
+                body, X = _carrier(self.built.robot, name)
+                T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
+                T = T @ X.homogeneous
+            J, drift = point_jacobian(model, data, body, T[:3, :3], T[:3, 3].copy())
             return Dynamics(M, data.qfrc_bias.copy() - data.qfrc_passive, J, drift, J @ v, T)
 
         return of
@@ -329,6 +335,16 @@ def _yielded(task: ForceTask, loop: ForceLoop, dt: float) -> Array:
 def _pinocchio(state: State, name: str) -> Dynamics:
     frame = state.frame(name)
     return Dynamics(state.M, state.h, frame.J, frame.drift, frame.V, frame.T.homogeneous)
+
+
+def _carrier(robot: Robot, name: str) -> tuple[int, pin.SE3]:
+    """MuJoCo's body that carries a frame, and the frame's place on it: for frames of bodies and joints, which are no sites."""
+    frame = robot.model.frames[robot.frame_id(name)]
+    for body in range(1, robot.mujoco.nbody):
+        carrier = robot.model.frames[robot.frame_id(body_name(robot.mujoco, body))]
+        if carrier.parentJoint == frame.parentJoint:
+            return body, carrier.placement.actInv(frame.placement)
+    return 0, frame.placement
 
 
 def relative(value: Array, truth: Array) -> float:

@@ -1,0 +1,265 @@
+"""Limits: torque and its rate, and joints that always brake in time, alone and as a driven robot."""
+
+import numpy as np
+import pytest
+
+from wbc.controller import Controller, make_limits
+from wbc.errors import GainError
+from wbc.limit import JointLimit, TorqueLimit, braking
+from wbc.sim import Simulator
+from wbc.task import PostureTask
+
+OVERSHOOT = 1e-3  # [rad]
+OVERSPEED = 1.01  # of the velocity limit
+DT = 1e-3
+INF = np.inf
+
+
+# --- torque ---
+
+
+def test_torque_bounds_are_the_tighter_of_limit_and_rate():
+    limit = TorqueLimit(np.array([-5.0, -9.0]), np.array([5.0, 9.0]), np.array([1000.0, INF]), ("a", "b"))
+    low, high = limit.bounds(np.array([4.5, 8.9]), DT)
+    np.testing.assert_allclose(low, [3.5, -9])
+    np.testing.assert_allclose(high, [5, 9])
+    assert limit.name(0, True, np.array([4.5, 0]), DT) == "torque[a]"
+    assert limit.name(0, False, np.array([4.5, 0]), DT) == "torque_rate[a]"
+    assert limit.name(0, True, np.array([0.0, 0]), DT) == "torque_rate[a]"
+    assert limit.name(1, True, np.array([0.0, 0]), DT) == "torque[b]"
+    assert limit.labels == ("torque[a]", "torque[b]")
+
+
+def test_torque_bounds_are_never_empty_from_inside(rng):
+    limit = TorqueLimit(-rng.uniform(1, 9, 50), rng.uniform(1, 9, 50), rng.uniform(1, 5000, 50), tuple(map(str, range(50))))
+    for _ in range(50):
+        low, high = limit.bounds(limit.inside(rng.uniform(-20, 20, 50)), rng.uniform(1e-4, 0.1))
+        assert (low <= high).all()
+        assert (low >= limit.low).all()
+        assert (high <= limit.high).all()
+
+
+def test_limits_are_never_wider_than_the_models(bare_panda):
+    torque, _ = make_limits(bare_panda, {"torque": 50.0})
+    np.testing.assert_allclose(torque.high, [50] * 4 + [12] * 3)
+    np.testing.assert_allclose(torque.low, -torque.high)
+    with pytest.raises(GainError, match=r"limits.torque: expected positive numbers, got \[-1"):
+        make_limits(bare_panda, {"torque": -1.0})
+
+
+# --- one joint: a double integrator whose acceleration changes by no more than the jerk allows ---
+
+
+def joints(rng, n):
+    """n joints of random range, speed, deceleration and jerk, as one JointLimit."""
+    half, v_max = rng.uniform(0.3, 3.0, n), rng.uniform(0.5, 6.0, n)
+    a, j = 10 ** rng.uniform(0.5, 2.2, n), 10 ** rng.uniform(2.0, 4.3, n)
+    return JointLimit(-half, half, v_max, a, j, tuple(map(str, range(n)))), half, v_max, j
+
+
+def drive(limit, q, v, jerk, push, ticks):
+    """Push (n,) as hard as bounds and jerk allow; answers q, v, vdot (ticks, n) and the worst jerk beyond what there is."""
+    vdot, history, lacking = np.zeros_like(v), [], 0.0
+    for _ in range(ticks):
+        rows = limit.rows(q, v, DT)
+        assert (rows.lo <= rows.hi).all()
+        wanted = np.clip(push, rows.lo, rows.hi)
+        needed = np.maximum(vdot - rows.hi, rows.lo - vdot).max() if history else 0.0
+        lacking = max(lacking, (np.maximum(vdot - rows.hi, rows.lo - vdot) / (jerk * DT)).max())
+        vdot = np.clip(wanted, vdot - jerk * DT, vdot + jerk * DT)
+        assert np.isfinite(needed)
+        v = v + DT * vdot
+        q = q + DT * v
+        history.append((q, v, vdot))
+    return *map(np.array, zip(*history, strict=True)), lacking
+
+
+@pytest.mark.parametrize("start", ["inside", "at the bound"])
+def test_a_joint_stops_in_time_from_every_viable_state(rng, start):
+    """And the bound never asks for more jerk than the model has: it is never empty for a motor of that rate."""
+    n = 400
+    limit, half, v_max, jerk = joints(rng, n)
+    q = rng.uniform(-half, half)
+    top = limit.viable_speed(q)
+    share = rng.uniform(-1, 1, n) if start == "inside" else rng.choice([-1.0, 1.0], n)
+    v = np.where(share > 0, share * top[:n], share * top[n:])
+    q_at, v_at, vdot, lacking = drive(limit, q, v, jerk, 1e4 * np.sign(share), 3000)
+    assert (np.abs(q_at) - half).max() <= OVERSHOOT / 10
+    assert (np.abs(v_at) / v_max).max() <= 1.001
+    assert lacking <= 1.05
+    # it gets there: what was pushed for three seconds is at its limit, or on the way at full speed
+    late = np.minimum(half - np.abs(q_at[-1]), np.abs(1 - np.abs(v_at[-1]) / v_max))
+    assert np.median(late) < 1e-3
+    assert late.max() < 0.05
+
+
+def test_a_joint_pressed_into_its_limit_rests_there(rng):
+    n = 200
+    limit, half, _, jerk = joints(rng, n)
+    q_at, v_at, vdot, _ = drive(limit, np.zeros(n), np.zeros(n), jerk, np.full(n, 1e4), 9000)
+    arrived = half - q_at[-1] < 1e-4
+    assert arrived.mean() > 0.9
+    assert np.abs(v_at[-1][arrived]).max() < 1e-2
+    # once it brakes it does not push again: one change of sign, from speeding up to braking, no chatter
+    loud = np.where(np.abs(vdot) > 1e-3 * limit.a[:n], np.sign(vdot), 0)
+    for i in range(n):
+        signs = loud[:, i][loud[:, i] != 0]
+        assert np.count_nonzero(np.diff(signs)) <= 1, i
+
+
+def test_the_stopping_distance_is_not_wasteful(rng):
+    """From full speed no more than four times what a perfect brake of that deceleration and jerk needs."""
+    limit, _, v_max, j = joints(rng, 200)
+    a = np.minimum(limit.a[:200], np.sqrt(v_max * j))
+    perfect = np.where(a * a < v_max * j, v_max**2 / (2 * a) + v_max * a / (2 * j), np.sqrt(v_max**3 / j))
+    rooms = np.linspace(0, 40, 4001)
+    lone = [JointLimit(np.array([-INF]), np.array([0.0]), v_max[[i]], limit.a[[i]], j[[i]], ("a",)) for i in range(0, 200, 10)]
+    for i, one in zip(range(0, 200, 10), lone, strict=True):
+        needed = rooms[np.argmax([one.viable_speed(np.array([-room]))[0] >= 0.999 * v_max[i] for room in rooms])]
+        assert 0.9 * perfect[i] <= needed <= 4 * perfect[i] + 0.02 * v_max[i]
+
+
+def test_beyond_its_range_a_joint_comes_back(rng):
+    n = 100
+    limit, half, v_max, jerk = joints(rng, n)
+    q_at, v_at, _, _ = drive(limit, half + 0.05, np.zeros(n), jerk, np.full(n, 1e4), 6000)
+    assert (q_at[-1] - half).max() < 0.05 * 0.2
+    assert np.median(q_at[-1] - half) < 1e-4
+    assert (np.abs(v_at) <= v_max).all()
+    q_at, v_at, _, _ = drive(limit, -0.9 * half, 1.1 * v_max, jerk, np.full(n, 1e4), 200)
+    assert (v_at[-1] <= 1.01 * v_max).all()
+
+
+def test_bounds_are_never_empty_at_any_state(rng):
+    limit, half, v_max, _ = joints(rng, 1000)
+    for _ in range(100):
+        rows = limit.rows(rng.uniform(-1.2, 1.2, 1000) * half, rng.uniform(-1.5, 1.5, 1000) * v_max, DT)
+        assert (rows.lo <= rows.hi).all()
+        assert np.isfinite(rows.lo).all()
+        assert np.isfinite(rows.hi).all()
+
+
+def test_far_from_every_limit_the_short_way_says_the_same(rng):
+    n = 50
+    limit = JointLimit(np.full(n, -9.0), np.full(n, 9.0), *(rng.uniform(1, 3, n), rng.uniform(5, 50, n), rng.uniform(500, 5000, n)), ("",) * n)
+    thorough = JointLimit(np.full(n, -9.0), np.full(n, 9.0), limit._v_max[:n], limit.a[:n], limit.j[:n], ("",) * n)
+    thorough._far = np.full(2 * n, INF)
+    short = 0
+    for reach in (0.0, 2.0, 6.0, 8.0):
+        q, v = rng.uniform(-1, 1, n) * reach, rng.uniform(-1, 1, n) * limit._v_max[:n]
+        a, b = limit.rows(q, v, DT), thorough.rows(q, v, DT)
+        short += (9.0 - np.abs(q) > limit._far[:n]).all()
+        np.testing.assert_allclose(a.hi, b.hi, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(a.lo, b.lo, rtol=1e-9, atol=1e-9)
+    assert short >= 2
+
+
+def test_infinite_limits_bind_nothing():
+    a, j = np.full(3, 5.0), np.full(3, 500.0)
+    limit = JointLimit(np.array([-INF, -1, -INF]), np.array([INF, 1, INF]), np.array([2.0, INF, INF]), a, j, ("a", "b", "c"))
+    for q in (np.zeros(3), np.full(3, 0.999)):
+        rows = limit.rows(q, np.full(3, 0.1), DT)
+        assert rows.hi[2] == -rows.lo[2] == INF
+        assert np.isfinite(rows.hi[:2]).all()
+    np.testing.assert_array_equal(limit.viable_speed(np.zeros(3))[[2, 5]], [INF, INF])
+    assert limit.viable_speed(np.zeros(3))[0] == 2.0
+    assert 0 < limit.viable_speed(np.zeros(3))[1] < INF
+
+
+def test_names_say_which_of_the_two_binds():
+    limit = JointLimit(np.array([-1.0]), np.array([1.0]), np.array([2.0]), np.array([20.0]), np.array([2000.0]), ("elbow",))
+    assert limit.name(0, True, np.zeros(1)) == "velocity[elbow]"
+    assert limit.name(0, True, np.array([0.99])) == "position[elbow]"
+    assert limit.name(0, False, np.array([0.99])) == "velocity[elbow]"
+    assert limit.name(0, False, np.array([-0.99])) == "position[elbow]"
+    assert limit.labels == ("joint[elbow]",)
+
+
+# --- what a robot can brake with ---
+
+
+def test_braking_is_within_torque_and_rate_in_every_pose(robot, rng):
+    rate = np.full(robot.nv, 1000.0)
+    a, j = braking(robot, robot.tau_min, robot.tau_max, rate)
+    for _ in range(50):
+        state = robot.state(rng.uniform(np.maximum(robot.q_min, -3), np.minimum(robot.q_max, 3)), np.zeros(robot.nv))
+        spare = np.minimum(robot.tau_max - state.h, state.h - robot.tau_min)
+        signs = rng.choice([-1.0, 1.0], (20, robot.nv))
+        torque, rates = np.abs((signs * a) @ state.M), np.abs((signs * j) @ state.M)
+        assert np.median(torque / np.maximum(spare, 0.1 * robot.tau_max)) < 1.0
+        assert np.median(rates) < 1000.0
+    assert (j > 0).all()
+    assert (a > 0).all()
+
+
+def test_braking_without_a_rate_limit_is_finite(bare_panda):
+    a, j = braking(bare_panda, bare_panda.tau_min, bare_panda.tau_max, np.full(7, INF))
+    np.testing.assert_array_equal(j, np.full(7, 1e6))
+    assert np.isfinite(a).all()
+
+
+# --- a whole robot, driven as hard as it can be ---
+
+
+def run(robot, q, v, target, gains, ticks):
+    """A posture far beyond the limits; answers overshoot [rad], overspeed, ticks in which joint limits yield, statuses."""
+    made = Controller(robot, tasks={"posture": PostureTask(target, *gains)}, limits={"torque_rate": 1000.0})
+    plant = Simulator(robot, q, DT)
+    plant.data.qvel[:] = v
+    made.reset(q, v)
+    over, speed, yields, statuses, vdot, active = -INF, 0.0, 0, set(), [], set()
+    for _ in range(ticks):
+        seen = plant.observe()
+        over = max(over, np.maximum(seen.q - robot.q_max, robot.q_min - seen.q).max())
+        speed = max(speed, (np.abs(seen.v) / robot.v_max).max())
+        out = made.step(seen.t, seen.q, seen.v)
+        yields += "yield" in out.reason
+        statuses.add(out.status.name)
+        active.update(out.active)
+        vdot.append(out.vdot)
+        plant.apply(out.tau)
+    return over, speed, yields, statuses, np.array(vdot), active, seen
+
+
+GAINS = [(100.0, 20.0), (400.0, 10.0), (2000.0, 5.0)]  # from damped to wild
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("gains", GAINS)
+def test_every_joint_driven_into_its_limit_stops_there(bare_panda, side, gains):
+    q = bare_panda.keyframes["home"]
+    over, speed, yields, statuses, vdot, active, seen = run(bare_panda, q, np.zeros(7), q + 8 * side, gains, 3000)
+    assert over <= OVERSHOOT
+    assert speed <= OVERSPEED
+    assert yields == 0
+    assert statuses <= {"OK", "LIMITED"}
+    edge = bare_panda.q_max if side > 0 else bare_panda.q_min
+    np.testing.assert_allclose(seen.q, edge, atol=2e-3)
+    assert active >= {f"position[joint{i}]" for i in range(1, 8)}
+    # pressed into the limits it rests: no chatter in the last half second
+    assert np.abs(vdot[-500:]).max() < 0.1
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_one_joint_driven_alone(bare_panda, side):
+    for i in range(7):
+        target = bare_panda.keyframes["home"].copy()
+        target[i] += 8 * side
+        over, speed, yields, *_ = run(bare_panda, bare_panda.keyframes["home"], np.zeros(7), target, (400.0, 30.0), 700)
+        assert (over <= OVERSHOOT, speed <= OVERSPEED, yields) == (True, True, 0), i
+
+
+def test_viable_states_stay_viable(bare_panda, rng):
+    """Random viable states, the torque that holds the pose, pushed outwards: the position bar holds for each of them."""
+    torque, limit = make_limits(bare_panda, {"torque_rate": 1000.0})
+    worst, yielded, ticks = -INF, 0, 300
+    for i in range(30):
+        q = rng.uniform(bare_panda.q_min, bare_panda.q_max)
+        top = limit.viable_speed(q)
+        v = rng.uniform(-top[7:], top[:7])
+        over, speed, yields, statuses, *_ = run(bare_panda, q, v, q + 8 * rng.choice([-1.0, 1.0], 7), GAINS[i % 3], ticks)
+        worst, yielded = max(worst, over), yielded + yields
+        assert over <= OVERSHOOT, i
+        assert speed <= OVERSPEED, i
+        assert statuses <= {"OK", "LIMITED"}, i
+    assert yielded <= 0.005 * 30 * ticks
