@@ -18,13 +18,25 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-import wbc.controller as controller_module
-import wbc.solver as solver_module
+import wbc.controller
+import wbc.solver
 from wbc.build import build
 from wbc.controller import Controller
-from wbc.robot import State
+from wbc.phase import Program
 from wbc.run import run
 from wbc.spec import load
+
+# stage -> where its function stands; a stage inside another is taken off it
+STAGES = {
+    "state": (wbc.controller, "State"),
+    "contacts and wrenches": (Controller, "_read"),
+    "rows": (Program, "costs"),
+    "assembly": (Program, "assemble"),
+    "certificate": (wbc.solver, "certify"),
+    "solve": (wbc.controller, "answer"),
+    "decode": (Controller, "_accept"),
+}
+INSIDE = {"assembly": "rows", "solve": "certificate"}
 
 
 class Clock:
@@ -49,18 +61,9 @@ def split(name: str, overrides: list[str], ticks: int) -> dict[str, dict[str, fl
     """Median and p99 [us] of every stage over one run with the stages timed, and of the whole over one without."""
     clock, spec = Clock(), load(name, [*overrides, f"duration={ticks / 1000}"])
     whole = run(build(spec)).log["step_us"]
-    built = build(spec)
-    solver = built.controller._solver
-    solver.solve = clock.wrap("solve", solver.solve)  # type: ignore[method-assign]
-    originals = (controller_module.State, controller_module.fill, solver_module.certify, Controller._costs, Controller._accept, Controller._read)
-    controller_module.State = clock.wrap("state", State)  # type: ignore[assignment,misc]
-    controller_module.fill = clock.wrap("assembly", controller_module.fill)
-    solver_module.certify = clock.wrap("certificate", solver_module.certify)
-    Controller._costs = clock.wrap("rows", Controller._costs)  # type: ignore[method-assign]
-    Controller._read = clock.wrap("contacts and wrenches", Controller._read)  # type: ignore[method-assign]
-    Controller._accept = clock.wrap("decode", Controller._accept)  # type: ignore[method-assign]
-    floor: list[float] = []
+    built, floor = build(spec), list[float]()
     data = built.robot.model.createData()
+    originals = {stage: getattr(owner, attribute) for stage, (owner, attribute) in STAGES.items()}
 
     def tick(seen: Any, out: Any) -> None:
         clock.ticks.append(clock.now)
@@ -70,11 +73,15 @@ def split(name: str, overrides: list[str], ticks: int) -> dict[str, dict[str, fl
         floor.append(time.perf_counter() - begin)
 
     try:
+        for stage, (owner, attribute) in STAGES.items():
+            setattr(owner, attribute, clock.wrap(stage, originals[stage]))
         run(built, hook=tick)
     finally:
-        (controller_module.State, controller_module.fill, solver_module.certify, Controller._costs, Controller._accept, Controller._read) = originals  # type: ignore[misc,method-assign]
-    stages = {stage: np.array([t.get(stage, 0.0) for t in clock.ticks]) * 1e6 for stage in clock.ticks[-1]}
-    stages["rows"] = stages["rows"]
+        for stage, (owner, attribute) in STAGES.items():
+            setattr(owner, attribute, originals[stage])
+    stages = {stage: np.array([t.get(stage, 0.0) for t in clock.ticks]) * 1e6 for stage in STAGES}
+    for outer, inner in INSIDE.items():
+        stages[outer] = stages[outer] - stages[inner]
     stages |= {"whole tick": whole, "floor: Pinocchio alone": np.array(floor) * 1e6}
     return {stage: {"p50": float(np.median(us)), "p99": float(np.percentile(us, 99))} for stage, us in stages.items()}
 

@@ -160,7 +160,7 @@ def from_pinocchio(state: State) -> Callable[[str], Dynamics]:
 
 
 def from_mujoco(robot: Robot, q: Array, v: Array) -> Callable[[str], Dynamics]:
-    """MuJoCo's own; its Jacobians are in the axes of the world, so that the body's drift is R' Jdot_w v - (0, w x v)."""
+    """MuJoCo's own; its Jacobians are in the axes of the world, so that the drift is R' Jdot_w v - (0, w x v)."""
     model, n = robot.mujoco, robot.nv
     data = mujoco.MjData(model)
     data.qpos, data.qvel = q, v
@@ -215,9 +215,10 @@ def desired_acceleration(task: MotionTask, state: State) -> Array:
 
 
 def gauss(phase: Phase, law: str, state: State, memory: Memory, given: Mapping[str, Array]) -> Array:
-    """tau from Gauss's principle. Compensated: the acceleration nearest to the posture's that meets contacts and motion.
+    """tau (nv,) from Gauss's principle.
 
-    Book: first the nearest to the posture's with the raw y, then the nearest to that which meets the contact.
+    Compensated: the acceleration nearest to the posture's that meets contacts and motion. Book: first the nearest to
+    the posture's with the raw y, then the nearest to that which meets the contact.
     """
     tasks = phase.tasks.values()
     free = np.zeros(state.v.size)
@@ -325,16 +326,13 @@ def random_state(rng: np.random.Generator, robot: Robot) -> State:
 def well_conditioned(phase: Phase, state: State) -> bool:
     """cond(J M^-1 J') <= 1e5 and cond(A J) <= 30, J of the task; with several tasks the former of all rows together."""
     tasks = [task for task in phase.tasks.values() if isinstance(task, MotionTask)]
-    axes = {task: np.eye(6)[list(state.robot.axes(task.frame))] for task in tasks}
-    rows = [(task.selection if task.contact is None else axes[task]) @ state.frame(task.frame).J for task in tasks]
-    held = held_rows(phase, state)[0]
-    if len(tasks) != 1 or len(phase.contacts) != 1 or tasks[0].contact is None:
-        chosen = [
-            r if t.contact is None else phase.contacts[t.contact].free(state) @ r
-            for t, r in zip(tasks, rows, strict=True)
-        ]
-        rows = [np.concatenate([held, *chosen])]
-    if any(np.linalg.cond(J @ np.linalg.solve(state.M, J.T)) > MAX_COND for J in rows):
+    held, chosen = held_rows(phase, state)[0], []
+    for task in tasks:
+        S = task.selection if task.contact is None else phase.contacts[task.contact].free(state)
+        chosen.append(S @ state.frame(task.frame).J)
+    one = len(tasks) == len(phase.contacts) == 1 and tasks[0].contact is not None
+    rows = state.frame("eraser").J[list(state.robot.axes("eraser"))] if one else np.concatenate([held, *chosen])
+    if np.linalg.cond(rows @ np.linalg.solve(state.M, rows.T)) > MAX_COND:
         return False
     return not len(held) or bool(np.linalg.cond(held) <= MAX_COND_AJ)
 
@@ -645,17 +643,11 @@ def test_one_milliradian_off_the_table_moves_the_eraser_by_two_tenths_of_a_milli
 def test_identity_metric_agrees_where_y_satisfies_the_constraint(rng):
     robot, contact = arm("panda"), AxesContact("eraser", TABLE)
     for state in random_states(rng, hybrid(rng, robot, contact, "compensated"), 4, Worst()):
-        reference = displaced(home_of(robot), np.zeros(6))
-        taus = [
-            tick(
-                robot,
-                state,
-                {"board": contact},
-                draw=kind("eraser", reference, axes=contact.free_axes, contact="board"),
-            ).tau
-            for kind in (MotionTask, IdentityMetric)
-        ]
-        assert relative(*taus) < TAU_ERROR["daqp"]
+        reference, tau = displaced(home_of(robot), np.zeros(6)), []
+        for kind in (MotionTask, IdentityMetric):
+            draw = kind("eraser", reference, axes=contact.free_axes, contact="board")
+            tau.append(tick(robot, state, {"board": contact}, draw=draw).tau)
+        assert relative(*tau) < TAU_ERROR["daqp"]
 
 
 def test_unprojected_posture_errs_by_its_weight(rng):

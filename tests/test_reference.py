@@ -1,4 +1,4 @@
-"""Desired motion: twist and acceleration are the derivatives of the pose; scalars start, pass and end where they say."""
+"""Desired motion: twist and acceleration are the derivatives of the pose; scalars end where they say."""
 
 import numpy as np
 import pinocchio as pin
@@ -27,10 +27,15 @@ def check(reference, times=TIMES, tolerance=1e-8):
 
 def scalars(rng, n):
     """Sines of random size and phase, some of them easing in."""
-    return [sine(rng.uniform(0.1, 0.8), rng.uniform(1, 4), rng.uniform(-3, 3), rng.uniform(-0.5, 0.5), i % 2) for i in range(n)]
+    return [
+        sine(rng.uniform(0.1, 0.8), rng.uniform(1, 4), rng.uniform(-3, 3), rng.uniform(-0.5, 0.5), i % 2)
+        for i in range(n)
+    ]
 
 
-@pytest.mark.parametrize("axes", [*[(i,) for i in range(6)], (3, 4), (0, 1), (0, 2), (1, 2), (0, 1, 2), (2, 3, 5), (0, 1, 2, 3, 4, 5)])
+@pytest.mark.parametrize(
+    "axes", [*[(i,) for i in range(6)], (3, 4), (0, 1), (0, 2), (1, 2), (0, 1, 2), (2, 3, 5), (0, 1, 2, 3, 4, 5)]
+)
 def test_paths_differentiate_to_their_twist(axes, rng):
     along = dict(zip(axes, scalars(rng, len(axes)), strict=True))
     check(Path(TILTED, along))

@@ -19,6 +19,23 @@ def arm(request, robots):
     return robots[request.param], FRAMES[request.param]
 
 
+@pytest.fixture
+def written(tmp_path):
+    """written(bodies, rest) -> the robot of that MJCF."""
+
+    def load(bodies, rest=""):
+        path = tmp_path / "written.xml"
+        compiler = "<compiler angle='radian' autolimits='true'/>"
+        path.write_text(f"<mujoco>{compiler}<worldbody>{bodies}</worldbody>{rest}</mujoco>")
+        return Robot.load(str(path))
+
+    return load
+
+
+def load_of(mass, at):
+    return f"<inertial pos='0 0 {at}' mass='{mass}' diaginertia='1 1 1'/>"
+
+
 def angular_first(x):
     return np.r_[x[3:], x[:3]]
 
@@ -29,7 +46,9 @@ def test_twist_and_jacobian_are_the_pose_differentiated(arm, draw):
         state = draw(robot)
         frame = state.frame(name)
         T = frame.T.copy()
-        before, after = (robot.state(pin.integrate(robot.model, state.q, h * state.v), state.v).frame(name).T for h in (-H, H))
+        before, after = (
+            robot.state(pin.integrate(robot.model, state.q, h * state.v), state.v).frame(name).T for h in (-H, H)
+        )
         twist = angular_first((pin.log6(T.actInv(after)).vector - pin.log6(T.actInv(before)).vector) / (2 * H))
         np.testing.assert_allclose(frame.V, twist, atol=1e-8)
         np.testing.assert_allclose(frame.J @ state.v, frame.V, atol=1e-14)
@@ -42,7 +61,9 @@ def test_drift_is_the_jacobian_differentiated(arm, draw):
     robot, name = arm
     for _ in range(10):
         state = draw(robot)
-        before, after = (robot.state(pin.integrate(robot.model, state.q, h * state.v), state.v).frame(name).J for h in (-H, H))
+        before, after = (
+            robot.state(pin.integrate(robot.model, state.q, h * state.v), state.v).frame(name).J for h in (-H, H)
+        )
         np.testing.assert_allclose(state.frame(name).drift, (after - before) @ state.v / (2 * H), atol=1e-8)
 
 
@@ -70,7 +91,11 @@ def test_gravity_is_h_at_rest_and_asking_for_it_changes_nothing_else(arm, draw):
     state = draw(robot)
     untouched = robot.state(state.q, state.v)
     np.testing.assert_allclose(state.gravity(), robot.state(state.q, 0 * state.v).h, atol=1e-12)
-    for a, b in ((state.h, untouched.h), (state.M, untouched.M), (state.frame(name).table, untouched.frame(name).table)):
+    for a, b in (
+        (state.h, untouched.h),
+        (state.M, untouched.M),
+        (state.frame(name).table, untouched.frame(name).table),
+    ):
         np.testing.assert_array_equal(a, b)
 
 
@@ -80,23 +105,15 @@ def test_solve_M_is_the_inverse(arm, draw):
     np.testing.assert_allclose(state.M @ state.solve_M(np.eye(robot.nv)), np.eye(robot.nv), atol=1e-11)
 
 
-def test_joint_damping_is_in_h(tmp_path):
-    path = tmp_path / "damped.xml"
-    path.write_text(
-        "<mujoco><worldbody><body><joint damping='3'/><inertial pos='0 0 0.2' mass='1' diaginertia='1 1 1'/></body></worldbody></mujoco>"
-    )
-    robot = Robot.load(str(path))
+def test_joint_damping_is_in_h(written):
+    robot = written(f"<body><joint damping='3'/>{load_of(1, 0.2)}</body>")
     q, v = np.array([0.3]), np.array([2.0])
     np.testing.assert_allclose(robot.state(q, v).h - robot.state(q, 0 * v).h, [6.0], atol=1e-12)
 
 
-def test_one_joint_is_a_robot(tmp_path):
-    path = tmp_path / "one.xml"
-    path.write_text(
-        "<mujoco><worldbody><body><joint name='a' axis='0 0 1'/><inertial pos='0.2 0 0' mass='1' diaginertia='1 1 1'/>"
-        "<site name='tip' pos='0.5 0 0'/></body></worldbody></mujoco>"
-    )
-    frame = Robot.load(str(path)).state(np.zeros(1), np.array([2.0])).frame("tip")
+def test_one_joint_is_a_robot(written):
+    robot = written(f"<body><joint axis='0 0 1'/>{load_of(1, 0)}<site name='tip' pos='0.5 0 0'/></body>")
+    frame = robot.state(np.zeros(1), np.array([2.0])).frame("tip")
     np.testing.assert_allclose(frame.J, [[0], [0], [1], [0], [0.5], [0]], atol=1e-15)
     np.testing.assert_allclose(frame.V, [0, 0, 2, 0, 1, 0], atol=1e-15)
 
@@ -114,7 +131,7 @@ def test_a_missing_frame_is_named_with_the_nearest(panda, draw):
 
 
 def test_who_adds_gravity_is_one_of_two():
-    with pytest.raises(ModelError, match="gravity: expected 'controller' or 'robot'.*got 'nobody'"):
+    with pytest.raises(ModelError, match=r"gravity: expected 'controller' or 'robot'.*got 'nobody'"):
         Robot.load("planar3r", gravity="nobody")
 
 
@@ -136,25 +153,17 @@ def test_keyframes_and_limits_are_the_published_ones(robots):
         assert robot.model_error <= 1e-9
 
 
-def test_home_is_the_reference_pose_where_no_keyframe_says_so(tmp_path):
-    path = tmp_path / "keys.xml"
-    path.write_text(
-        "<mujoco><compiler angle='radian'/><worldbody><body><joint name='a' ref='0.5'/><inertial pos='0.2 0 0' mass='1' diaginertia='1 1 1'/></body></worldbody>"
-        "<keyframe><key name='up' qpos='1.5'/></keyframe></mujoco>"
+def test_home_is_the_reference_pose_where_no_keyframe_says_so(written):
+    robot = written(
+        f"<body><joint ref='0.5'/>{load_of(1, 0)}</body>", "<keyframe><key name='up' qpos='1.5'/></keyframe>"
     )
-    robot = Robot.load(str(path))
     assert {name: q.tolist() for name, q in robot.keyframes.items()} == {"home": [0.5], "up": [1.5]}
 
 
-def test_limits_have_one_entry_a_velocity(tmp_path):
-    path = tmp_path / "floating.xml"
-    path.write_text(
-        "<mujoco><compiler angle='radian' autolimits='true'/><worldbody><body name='base'><freejoint name='root'/>"
-        "<inertial pos='0 0 0' mass='5' diaginertia='1 1 1'/><body name='leg'><joint name='knee' axis='0 1 0' range='-1 2'/>"
-        "<inertial pos='0 0 -0.1' mass='1' diaginertia='0.1 0.1 0.1'/></body></body></worldbody>"
-        "<actuator><motor joint='knee' ctrlrange='-9 9'/></actuator></mujoco>"
-    )
-    robot = Robot.load(str(path))
+def test_limits_have_one_entry_a_velocity(written):
+    leg = f"<body name='leg'><joint name='knee' axis='0 1 0' range='-1 2'/>{load_of(1, -0.1)}</body>"
+    motor = "<actuator><motor joint='knee' ctrlrange='-9 9'/></actuator>"
+    robot = written(f"<body name='base'><freejoint/>{load_of(5, 0)}{leg}</body>", motor)
     free = [np.inf] * 6
     np.testing.assert_array_equal(robot.q_max, [*free, 2])
     np.testing.assert_array_equal(-robot.q_min, [*free, 1])
@@ -203,7 +212,9 @@ def test_axes_of_a_planar_arm(planar3r, panda):
 
 
 def test_fixed_pose(panda):
-    np.testing.assert_allclose(panda.fixed_pose("board").homogeneous, [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0.3], [0, 0, 0, 1]])
+    np.testing.assert_allclose(
+        panda.fixed_pose("board").homogeneous, [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0.3], [0, 0, 0, 1]]
+    )
     with pytest.raises(ModelError, match="frame 'eraser' moves with joint 'joint7'"):
         panda.fixed_pose("eraser")
 
@@ -212,31 +223,30 @@ def test_wrench_map_keeps_the_power(panda, draw, rng):
     X, F = panda.wrench_map("wrist_sensor", "eraser"), rng.normal(size=6)
     for _ in range(3):
         state = draw(panda)
-        assert F @ state.frame("wrist_sensor").V == pytest.approx((X @ F) @ state.frame("eraser").V, abs=1e-12)
+        power = F @ state.frame("wrist_sensor").V
+        assert (X @ F) @ state.frame("eraser").V == pytest.approx(power, abs=1e-12)
     assert panda.wrench_map("link6", "eraser") is None
 
 
-def test_inertia_below_the_sensor_is_the_tool(panda, tmp_path):
+def test_inertia_below_the_sensor_is_the_tool(panda):
     load = panda.inertia_below("wrist_sensor")
     assert load.mass == pytest.approx(0.2, abs=1e-12)
     np.testing.assert_allclose(load.lever, [0, 0, 0.041], atol=1e-12)
     np.testing.assert_allclose(load.inertia, np.diag([0.0001365, 0.0001865, 0.0001073]), atol=1e-12)
+
+
+def test_inertia_below_takes_in_what_the_tool_carries(written):
+    def tool(joint):
+        """1 kg that carries a nameless body of 2 kg."""
+        nested = f"<body pos='0 0 0.5'>{joint}{load_of(2, 0.1)}</body>"
+        carried = f"<body name='tool'>{load_of(1, 0.1)}<site name='sensor'/>{nested}</body>"
+        return written(f"<body name='arm'><joint/>{load_of(1, 0)}{carried}</body>")
+
+    load = tool("").inertia_below("sensor")
+    assert load.mass == pytest.approx(3.0)
+    np.testing.assert_allclose(load.lever, [0, 0, (1.0 * 0.1 + 2.0 * 0.6) / 3.0], atol=1e-12)
     with pytest.raises(ModelError, match="a joint moves the load below sensor"):
-        sensor_on("<joint name='loose'/>", tmp_path).inertia_below("sensor")
-    nested = sensor_on("", tmp_path).inertia_below("sensor")
-    assert nested.mass == pytest.approx(3.0)
-    np.testing.assert_allclose(nested.lever, [0, 0, (1.0 * 0.1 + 2.0 * 0.6) / 3.0], atol=1e-12)
-
-
-def sensor_on(joint, tmp_path):
-    """A tool of 1 kg that carries a nameless body of 2 kg."""
-    path = tmp_path / "tool.xml"
-    path.write_text(
-        "<mujoco><worldbody><body name='arm'><joint name='a'/><inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/>"
-        "<body name='tool'><inertial pos='0 0 0.1' mass='1' diaginertia='0.1 0.1 0.1'/><site name='sensor'/>"
-        f"<body pos='0 0 0.5'>{joint}<inertial pos='0 0 0.1' mass='2' diaginertia='0.1 0.1 0.1'/></body></body></body></worldbody></mujoco>"
-    )
-    return Robot.load(str(path))
+        tool("<joint/>").inertia_below("sensor")
 
 
 def test_inertia_below_needs_the_compiled_model():

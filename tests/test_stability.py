@@ -30,7 +30,12 @@ def growth(mass, kp, ki, damping, alpha, dt, stiffness, delay=1, ticks=6000):
             push -= damping * v
             x, v, _ = plant @ (x, v, push)
         forces = [force, *forces[:-1]]
-        size = math.sqrt(sum(f * f for f in forces) + s * s + (ki * integral) ** 2 + (0 if stiffness is None else mass * v * v * stiffness))
+        size = math.sqrt(
+            sum(f * f for f in forces)
+            + s * s
+            + (ki * integral) ** 2
+            + (0 if stiffness is None else mass * v * v * stiffness)
+        )
         sizes.append(math.log(size) + scale)
         if not 1e-100 < size < 1e100:  # start again from the same direction
             x, v, s, integral, forces = x / size, v / size, s / size, integral / size, [f / size for f in forces]
@@ -82,7 +87,9 @@ def test_a_filter_allows_kp_below_two_over_alpha_less_one(cutoff):
 def poles(damping, delay=1, axes=("fz",), masses=(3.0,)):
     k = len(axes)
     alpha = 1 - math.exp(-2 * math.pi * 50 * 1e-3)
-    return force_poles("board", axes, np.array(masses), 0.3 * np.eye(k), 10 * np.eye(k), damping * np.eye(k), alpha, 1e-3, delay)
+    return force_poles(
+        "board", axes, np.array(masses), 0.3 * np.eye(k), 10 * np.eye(k), damping * np.eye(k), alpha, 1e-3, delay
+    )
 
 
 def test_gains_that_pass_on_a_rigid_wall_diverge_on_an_undamped_spring_and_damping_settles_them():

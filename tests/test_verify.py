@@ -159,9 +159,10 @@ def rows_with(metric: Callable[[State], np.ndarray]) -> Callable:
     return lambda self, state: right(self, state)._replace(metric=metric(state))
 
 
-def forgetful(self: ForceTask, state: State, desired: np.ndarray, right=ForceTask.sense):
-    loop = right(self, state, desired)
-    return loop._replace(integral=0.0 * loop.integral)
+def forgetful(self: ForceTask, state: State, right=ForceTask.rows):
+    loop = state.loops[self.contact]
+    state.loops[self.contact] = loop._replace(integral=0.0 * loop.integral)
+    return right(self, state)
 
 
 SABOTAGE = {
@@ -169,7 +170,7 @@ SABOTAGE = {
     "no Jdot v": (Contact, "_hold", replaced(without_drift), LAWS),
     "damping that drives": (Contact, "_hold", replaced(against_the_motion), LAWS),
     "posture in everyone's way": (PostureTask, "rows", rows_with(lambda state: state.M), LAWS),
-    "no integral": (ForceTask, "sense", forgetful, LAWS),
+    "no integral": (ForceTask, "rows", forgetful, LAWS),
 }
 
 
@@ -196,3 +197,17 @@ def test_an_error_that_both_sides_share_is_caught_by_mujoco(monkeypatch):
     assert max(law.max_tau_error for law in found.laws.values()) <= TAU_ERROR["daqp"]
     assert found.max_tau_error_mujoco > 1e-4
     assert not found.ok
+
+
+class Silent:
+    """A solver that never answers."""
+
+    def solve(self, problem):
+        raise RuntimeError("planned")
+
+
+def test_a_controller_without_answers_fails_with_infinite_errors():
+    found = verify(short(), Silent(), states=3)
+    assert not found.ok
+    for worst in found.laws.values():
+        assert worst.max_lambda_error == worst.max_kkt_residual == np.inf

@@ -77,7 +77,7 @@ def test_in_free_air_the_sensor_feels_nothing(panda, rng):
 
 
 def test_pressing_the_sensor_feels_the_true_wrench(panda, rng):
-    """The eraser pressed a little into the board, resting and moving: the reading minus the tool is the contact's wrench."""
+    """The eraser pressed into the board, resting and moving: the reading minus the tool is the contact's wrench."""
     start = close_to_the_board(panda, -2e-4)
     simulator, sensor = Simulator(panda, start, 1e-3), ForceSensor(panda)
     simulator.data.qvel[:] = rng.uniform(-0.05, 0.05, 7)

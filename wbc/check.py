@@ -50,7 +50,13 @@ def check(spec: Spec) -> Report:
     out = controller.step(0.0, built.q, np.zeros(built.robot.nv))
     feasible = out.status in (Status.OK, Status.LIMITED) and "yield" not in out.reason
     return Report(
-        Path(spec.file).stem, built.robot.model_error, feasible, out.reason, built.poles, built.damping_margins, built.notes
+        Path(spec.file).stem,
+        built.robot.model_error,
+        feasible,
+        out.reason,
+        built.poles,
+        built.damping_margins,
+        built.notes,
     )
 
 

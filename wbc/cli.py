@@ -21,7 +21,9 @@ from .errors import SpecError, WbcError
 if TYPE_CHECKING:
     from .spec import Spec
 
-_SET = click.option("--set", "overrides", multiple=True, metavar="KEY.PATH=VALUE", help="Change a value of the spec; may be repeated.")
+_SET = click.option(
+    "--set", "overrides", multiple=True, metavar="KEY.PATH=VALUE", help="Change a value of the spec; may be repeated."
+)
 _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, all else on stderr.")
 _SOLVER = click.option("--solver", metavar="NAME", help="QP solver: daqp, proxqp, or a backend of qpsolvers.")
 _SEED = click.option("--seed", type=int, default=0, show_default=True, help="Seed of all noise.")
@@ -40,10 +42,22 @@ def main() -> None:
 @_SEED
 @_SOLVER
 @_SET
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Where to write; runs/SPEC when left out.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Where to write; runs/SPEC when left out.",
+)
 @_JSON
 def run(
-    spec: str, headless: bool, duration: float | None, seed: int, solver: str | None, overrides: tuple[str, ...], out: Path | None, as_json: bool
+    spec: str,
+    headless: bool,
+    duration: float | None,
+    seed: int,
+    solver: str | None,
+    overrides: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Simulate SPEC (a shipped name or a file) and hold it against its bounds."""
     with _faults(spec, as_json):
@@ -163,7 +177,11 @@ def _faults(spec: str, as_json: bool, more: dict[str, Any] | None = None) -> Ite
         for fault in error.faults:
             click.echo(str(fault), err=True)
         if as_json:
-            click.echo(json.dumps({"spec": spec, "ok": False, "faults": [vars(fault) for fault in error.faults]} | (more or {})))
+            click.echo(
+                json.dumps(
+                    {"spec": spec, "ok": False, "faults": [vars(fault) for fault in error.faults]} | (more or {})
+                )
+            )
         sys.exit(2)
     except (WbcError, OSError) as error:
         click.echo(f"{spec}: {error}", err=True)
@@ -190,7 +208,14 @@ def _console(err: bool = False) -> Any:
 def _progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    with Progress(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn(), console=_console(True), transient=True) as bar:
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeRemainingColumn(),
+        console=_console(True),
+        transient=True,
+    ) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done: bar.update(task, completed=done)
 
@@ -217,9 +242,16 @@ def _tell_run(summary: dict[str, Any], folder: Path) -> None:
     from rich.table import Table
 
     console = _console()
-    table = Table("quantity", "value", "bound", "", title=f"{summary['spec']}: {'all held' if summary['ok'] else 'FAILED'}")
+    table = Table(
+        "quantity", "value", "bound", "", title=f"{summary['spec']}: {'all held' if summary['ok'] else 'FAILED'}"
+    )
     for entry in summary["checks"]:
-        table.add_row(entry["name"], "not measured" if entry["value"] is None else f"{entry['value']:.4g}", str(entry["bound"]), "[green]ok[/]" if entry["ok"] else "[red]missed[/]")
+        table.add_row(
+            entry["name"],
+            "not measured" if entry["value"] is None else f"{entry['value']:.4g}",
+            str(entry["bound"]),
+            "[green]ok[/]" if entry["ok"] else "[red]missed[/]",
+        )
     console.print(table)
     if "broken" in summary:
         console.print(f"[red]{summary['broken']}[/]")
@@ -243,12 +275,18 @@ def _tell_check(report: Any) -> None:
     if worst:
         table = Table("force loop", "largest pole", "margin", "against", title="poles over the stiffness range")
         for (contact, axis), pole in worst.items():
-            against = "a rigid wall" if pole.stiffness is None else f"{pole.stiffness:.3g} {'N m/rad' if axis.startswith('m') else 'N/m'}"
+            against = (
+                "a rigid wall"
+                if pole.stiffness is None
+                else f"{pole.stiffness:.3g} {'N m/rad' if axis.startswith('m') else 'N/m'}"
+            )
             table.add_row(f"{contact}.{axis}", f"{pole.radius:.5f}", f"{1 - pole.radius:.1e}", against)
         console.print(table)
     for task, margin in report.damping_margins.items():
         console.print(f"{task}: damping uses {margin / 2:.0%} of what this rate allows")
-    console.print(f"MuJoCo and Pinocchio agree to {report.model_error:.0e}; start pose {'feasible' if report.feasible else 'NOT feasible: ' + report.reason}")
+    console.print(
+        f"MuJoCo and Pinocchio agree to {report.model_error:.0e}; start pose {'feasible' if report.feasible else 'NOT feasible: ' + report.reason}"
+    )
     console.print(f"{report.spec}: {'ok' if report.ok else 'FAILED'}")
 
 
@@ -256,7 +294,14 @@ def _tell_verify(certificate: Any) -> None:
     from rich.table import Table
 
     console = _console()
-    table = Table("law", "torque", "acceleration", "multipliers", "KKT residual", title=f"{certificate.spec}: worst errors, relative to 1 + the largest entry")
+    table = Table(
+        "law",
+        "torque",
+        "acceleration",
+        "multipliers",
+        "KKT residual",
+        title=f"{certificate.spec}: worst errors, relative to 1 + the largest entry",
+    )
     for law, worst in certificate.laws.items():
         table.add_row(law, *(f"{value:.1e}" for value in vars(worst).values()))
     console.print(table)

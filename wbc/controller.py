@@ -7,22 +7,22 @@ It never raises on data; it answers with a status, and holds when there is no ce
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .contact import Contact
-from .dynamics import inertia, mobility, torque_map
-from .errors import GainError, NameNotFound, SpecError, StateError, did_you_mean
-from .limit import JointLimit, TorqueLimit, braking
-from .qp import UNCERTIFIED, Array, Certificate, Rows, Variables, Workspace
+from .errors import StateError, did_you_mean
+from .phase import Phase, Program, hold, place, settle_posture
+from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State
 from .solver import DEFAULT, Solution, Solver, answer, make
-from .task import ForceLoop, ForceTask, MotionTask, PostureTask, Task
-from .wrench import VELOCITY_AXES, Wrench
+from .task import ForceLoop
+from .wrench import Wrench
+
+__all__ = ["Controller", "Memory", "Output", "Phase", "Status"]
 
 _NEW_LOOP = ForceLoop()
 _NONE: Mapping[str, Any] = {}  # never written to
@@ -73,53 +73,6 @@ class Memory(NamedTuple):
     good: int = GOOD_TICKS
 
 
-@dataclass(frozen=True)
-class Phase:
-    """What is active for a while: contacts, tasks with weights, limits. `until` [s] is its length, infinite for the last."""
-
-    contacts: Mapping[str, Contact]
-    tasks: Mapping[str, Task]
-    weights: Mapping[str, float]
-    torque: TorqueLimit
-    joint: JointLimit | None
-    name: str = ""
-    until: float = math.inf
-
-
-class _Structure:
-    """Storage of one phase: the problem's shape changes only with the phase."""
-
-    def __init__(self, phase: Phase, state: State) -> None:
-        self.phase = phase
-        self.motion = {n: t for n, t in phase.tasks.items() if isinstance(t, MotionTask)}
-        self.force = {t.contact: (n, t) for n, t in phase.tasks.items() if isinstance(t, ForceTask)}
-        self.posture = {n: t for n, t in phase.tasks.items() if isinstance(t, PostureTask)}
-        known = (MotionTask, ForceTask, PostureTask)
-        self.other = {n: t for n, t in phase.tasks.items() if not isinstance(t, known)}
-        self.above = self.motion | self.other  # what the posture stays out of
-        # the motion rows hold the contacts' too, so with exactly one task they are all there is above the posture
-        self.single = len(self.motion) == 1 and not self.other
-        if self.single and next(iter(self.motion.values())).raw:
-            self.single = len(phase.contacts) == 1
-        hold(state, phase)
-        sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
-        hard = [c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in phase.contacts.items()]
-        hard.append(torque_map(state).rows(phase.torque.low, phase.torque.high, phase.torque.labels))
-        joint = phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
-        self.strict = Workspace(Variables(sizes), [*hard, joint] if joint else hard)
-        # the same with joint viability allowed to yield, for ticks that have no answer otherwise
-        self.yielding = None
-        if joint is not None:
-            rows = joint._replace(A=joint.A | {"yield": None})
-            self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, rows])
-
-
-def hold(state: State, phase: Phase) -> None:
-    """Evaluate the contacts of a phase at a state."""
-    for name, contact in phase.contacts.items():
-        state.contacts[name] = contact.hold(state)
-
-
 class Controller:
     """A whole-body contact controller.
 
@@ -147,11 +100,9 @@ class Controller:
         self._second = make(solver) if isinstance(solver, str) else self._solver
         start = State(robot, self._data, robot.keyframes["home"] if q is None else np.array(q, float), np.zeros(robot.nv))
         if phases is None:
-            phases = [self._phase(contacts or {}, tasks or {}, limits or {}, start)]
+            phases = [place(robot, contacts or {}, tasks or {}, limits or {})]
         self.notes: list[str] = []
-        phases = [self._without_idle_posture(phase, start) for phase in phases]
-        self._phases = [_Structure(phase, State(robot, self._data, start.q, start.v)) for phase in phases]
-        self._workspace = self._phases[0].strict
+        self._programs = [Program(settle_posture(phase, start, self.notes), start) for phase in phases]
         self._memory: Memory | None = None
         self.start = start.q  # the configuration that the tasks and contacts were built at
         self.state = start
@@ -162,39 +113,6 @@ class Controller:
         from .build import build
 
         return build(spec, robot=robot, **changes).controller
-
-    # --- construction ---
-
-    def _phase(self, contacts: Mapping[str, Contact], tasks: Mapping[str, Any], limits: Mapping[str, Any], state: State) -> Phase:
-        placed = {name: task if isinstance(task, tuple) else (task, 1.0) for name, task in tasks.items()}
-        for name, (task, _) in placed.items():
-            contact = getattr(task, "contact", None)
-            if contact is not None and contact not in contacts:
-                raise NameNotFound(f"contact (of task {name!r})", contact, contacts)
-            self.robot.frame_id(getattr(task, "frame", self.robot.frames[0]))
-        torque, joint = make_limits(self.robot, limits)
-        weights = {name: float(weight) for name, (_, weight) in placed.items()}
-        return Phase(dict(contacts), {name: task for name, (task, _) in placed.items()}, weights, torque, joint)
-
-    def _without_idle_posture(self, phase: Phase, start: State) -> Phase:
-        """A posture has no meaning where contacts and motion leave no null space; without one, self-motion is damped."""
-        state = State(self.robot, self._data, start.q, start.v)
-        hold(state, phase)
-        rows = [held.G for held in state.contacts.values()]
-        rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, MotionTask)]
-        rank = np.linalg.matrix_rank(np.concatenate(rows)) if rows else 0
-        idle = [name for name, task in phase.tasks.items() if isinstance(task, PostureTask)]
-        tasks = dict(phase.tasks)
-        if rank >= self.robot.nv:
-            for name in idle:
-                del tasks[name]
-                note = f"{name}: dropped, contacts and motion leave no null space of the {self.robot.nv} joints"
-                if note not in self.notes:
-                    self.notes.append(note)
-        elif not idle:
-            tasks["self_motion"] = PostureTask(start.q, kp=0.0, kd=10.0)
-        weights = {name: phase.weights.get(name, 1.0) for name in tasks}
-        return Phase(phase.contacts, tasks, weights, phase.torque, phase.joint, phase.name, phase.until)
 
     # --- memory ---
 
@@ -210,19 +128,28 @@ class Controller:
             getattr(solver, "restart", lambda: None)()
 
     @property
+    def _remembered(self) -> Memory:
+        assert self._memory is not None
+        return self._memory
+
+    @property
     def phases(self) -> tuple[Phase, ...]:
         """All phases, as they run."""
-        return tuple(structure.phase for structure in self._phases)
+        return tuple(program.phase for program in self._programs)
 
     @property
     def phase(self) -> Phase:
         """The phase of the last tick."""
-        return self._phases[self._memory.phase if self._memory else 0].phase
+        return self._program.phase
+
+    @property
+    def _program(self) -> Program:
+        return self._programs[self._memory.phase if self._memory else 0]
 
     @property
     def workspace(self) -> Workspace:
         """Holds the last problem until the next tick; an answer's torque is `product("torque", x) + state.h`."""
-        return self._workspace
+        return self._program.last
 
     def reset(self, q: Array, v: Array, tau: Array | None = None) -> None:
         """Start, or start again, at a state; `tau` is what the driver was last sent (default: what holds gravity).
@@ -269,10 +196,9 @@ class Controller:
         fault = _fault("q", q, self.robot.nq) or _fault("v", v, self.robot.nv) or _fault_time(t)
         if self._memory is None:
             if fault:
-                raise StateError(f"the first tick needs a valid state: {fault}")
+                return self._hold(fault)
             self.reset(q, v, tau_applied)
-        memory = self._memory
-        assert memory is not None
+        memory = self._remembered
         if fault:
             return self._hold(fault)
         if memory.status in (Status.SAFE_HOLD, Status.STOPPED) or missed >= MISSED_STOPPED:
@@ -288,25 +214,29 @@ class Controller:
                 refused.append(fault)
             else:
                 tau_last = tau_applied + memory.gravity if self.robot.gravity == "robot" else tau_applied
-        structure = self._phases[memory.phase]
-        tau_last = structure.phase.torque.inside(tau_last)
-        bounds = structure.phase.torque.bounds(tau_last, self.dt)
-        solution, yielded = self._solve(structure, state, bounds)
+        program = self._programs[memory.phase]
+        tau_last = program.phase.torque.inside(tau_last)
+        bounds = program.phase.torque.bounds(tau_last, self.dt)
+        if fault := program.assemble(state, bounds, self.dt):
+            return self._hold(fault)
+        solution = answer(self._solver, program.strict.problem)
+        if not solution.accepted and program.relax(state):
+            solution = answer(self._second, program.last.problem)
         if not solution.accepted:
             return self._hold(solution.reason)
-        return self._accept(structure, state, solution, yielded, tau_last, bounds, memory, t, refused, missed)
+        return self._accept(program, state, solution, tau_last, bounds, memory, t, refused, missed)
 
     def _advance_time(self, memory: Memory, t: float) -> Memory:
         if memory.t is None:
             return memory._replace(start=t, phase_start=t)
-        while t - memory.phase_start >= self._phases[memory.phase].phase.until - 1e-9 and memory.phase + 1 < len(self._phases):
-            memory = memory._replace(phase=memory.phase + 1, phase_start=memory.phase_start + self._phases[memory.phase].phase.until)
+        while t - memory.phase_start >= self._programs[memory.phase].phase.until - 1e-9 and memory.phase + 1 < len(self._programs):
+            memory = memory._replace(phase=memory.phase + 1, phase_start=memory.phase_start + self._programs[memory.phase].phase.until)
         return memory
 
     def _read(self, state: State, memory: Memory, measured: Any, targets: Any) -> list[str]:
         """Contacts, wrenches, targets and loops of this tick; what is refused is said, and the old value kept."""
         refused: list[str] = []
-        phase = self._phases[memory.phase].phase
+        phase = self._programs[memory.phase].phase
         hold(state, phase)
         loops = memory.loops
         state.loops = {name: loops.get(name, _NEW_LOOP) for name in phase.contacts}
@@ -342,66 +272,11 @@ class Controller:
                 state.targets[name] = float(value)
         return refused
 
-    def _solve(self, structure: _Structure, state: State, bounds: tuple[Array, Array]) -> tuple[Solution, bool]:
-        """The certified answer, and whether joint viability had to yield for it."""
-        phase, strict = structure.phase, structure.strict
-        costs = self._costs(structure, state)
-        hard = [contact.rows(name, state.contacts[name]) for name, contact in phase.contacts.items()]
-        hard.append(torque_map(state).rows(*bounds))
-        joint = phase.joint.rows(state.q, state.v, self.dt) if phase.joint is not None else None
-        self._workspace = strict
-        fault = fill(strict, costs, hard if joint is None else [*hard, joint])
-        if fault:
-            return _refused(fault), False
-        solution = answer(self._solver, strict.problem)
-        if solution.accepted or joint is None or structure.yielding is None:
-            return solution, False
-        # nothing satisfies all: joint viability yields, never dynamics, torque or its rate
-        zero = np.zeros(self.robot.nv)
-        spring = Rows("", {"yield": None}, zero, zero, np.diag(state.M.diagonal()))
-        self._workspace = structure.yielding
-        fill(structure.yielding, [*costs, (spring, 1e6)], [*hard, joint._replace(A={"vdot": None, "yield": None})])
-        return answer(self._second, structure.yielding.problem), True
-
-    def _costs(self, structure: _Structure, state: State) -> list[tuple[Rows, float]]:
-        weights = structure.phase.weights
-        costs = [(task.rows(state), weights[name]) for name, task in structure.above.items()]
-        if not structure.single:
-            costs += self._stack(structure, state, [rows for rows, _ in costs])
-        for name, posture in structure.posture.items():
-            costs.append((posture.rows(state), weights[name]))
-        for contact, held in state.contacts.items():
-            if contact in structure.force:
-                name, force = structure.force[contact]
-                costs.append((force.rows(state), weights[name]))
-            elif held.A.shape[0]:
-                zero = np.zeros(held.A.shape[0])
-                costs.append((Rows("", {contact: None}, zero, zero, mobility(state, held.G)), 1.0))
-        return costs
-
-    def _stack(self, structure: _Structure, state: State, above: list[Rows]) -> list[tuple[Rows, float]]:
-        """All that the posture stays out of, where it is more than one motion task; a cost that keeps H definite."""
-        held = list(state.contacts.values())
-        stack = [h.G for h in held] + [rows.A["vdot"] for rows in above if rows.A.get("vdot") is not None]
-        if not stack:
-            state.primary = (np.zeros((0, self.robot.nv)), np.zeros((0, 0)), np.zeros((0, 0)))
-            return []
-        G = np.concatenate(stack)
-        K = mobility(state, G)
-        W = inertia(K)
-        state.primary = (G, W, K)
-        if above or not held:
-            return []
-        # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
-        rhs = np.concatenate([h.rhs for h in held])
-        return [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0)]
-
     def _accept(
-        self, structure: _Structure, state: State, solution: Solution, yielded: bool, tau_last: Array,
-        bounds: tuple[Array, Array], memory: Memory, t: float, refused: list[str], missed: int,
+        self, program: Program, state: State, solution: Solution, tau_last: Array, bounds: tuple[Array, Array],
+        memory: Memory, t: float, refused: list[str], missed: int,
     ) -> Output:  # fmt: skip
-        workspace = structure.yielding if yielded else structure.strict
-        assert workspace is not None
+        workspace, force, yielded = program.last, program.force, program.yielded
         slices = workspace.variables.slices
         tau = workspace.product("torque", solution.x)
         tau += state.h
@@ -411,10 +286,10 @@ class Controller:
         for name, held in state.contacts.items():
             lam[name] = solution.x[slices[name]]
             wrenches[name] = lam[name].dot(held.A)
-            if name in structure.force:
-                loops[name] = structure.force[name][1].advance(state, lam[name])
+            if name in force:
+                loops[name] = force[name][1].advance(state, lam[name])
         found = workspace.active(solution.z)
-        active = self._names(structure.phase, workspace, solution.z, found, state, tau_last) if found else ()
+        active = program.names(solution.z, found, state, tau_last, self.dt) if found else ()
         status, reason, good = Status.OK, "", memory.good + 1
         if active or refused or yielded:
             status = Status.LIMITED
@@ -432,26 +307,14 @@ class Controller:
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)
 
-    def _names(self, phase: Phase, workspace: Workspace, z: Array, found: list[int], state: State, tau_last: Array) -> tuple[str, ...]:
-        """Names of active rows, with which of two limits it is that binds."""
-        names = []
-        for i in found:
-            label = workspace.labels[i]
-            kind, _, joint = label[:-1].partition("[")
-            if kind == "torque":
-                label = phase.torque.name(self.robot.joints.index(joint), z[i] > 0.0, tau_last, self.dt)
-            elif kind == "joint" and phase.joint is not None:
-                label = phase.joint.name(self.robot.joints.index(joint), z[i] > 0.0, state.q)
-            names.append(label)
-        return tuple(names)
-
     # --- without a certified answer ---
 
     def _hold(self, reason: str) -> Output:
         """The last torque, for a few ticks; then the safe hold."""
         memory = self._memory
-        if memory is None:
-            raise StateError(reason)
+        if memory is None:  # nothing is known of the robot yet, so nothing is asked of it
+            nothing = np.zeros(self.robot.nv)
+            return Output(nothing, nothing, {}, (), Status.DEGRADED, f"not started: {reason}", UNCERTIFIED)
         bad = memory.bad + 1
         if memory.status in (Status.SAFE_HOLD, Status.STOPPED) or bad > HOLD_TICKS:
             status = Status.STOPPED if memory.status is Status.STOPPED else Status.SAFE_HOLD
@@ -461,67 +324,23 @@ class Controller:
 
     def _safe_hold(self, q: Array, v: Array, status: Status, reason: str) -> Output:
         """g(q) + J' F with the last certified wrenches, plus damping, at the last valid state, inside limit and rate."""
-        memory = self._memory
-        assert memory is not None
-        structure = self._phases[memory.phase]
+        memory = self._remembered
+        phase = self._programs[memory.phase].phase
         state = State(self.robot, self._data, q, v, 0.0, self.dt)
-        hold(state, structure.phase)
+        hold(state, phase)
         tau = state.gravity() - HOLD_DAMPING * state.M.diagonal() * v
         for name, lam in memory.lam.items():
             if name in state.contacts:
                 tau = tau + state.contacts[name].G.T @ lam
-        low, high = structure.phase.torque.bounds(memory.tau, self.dt)
+        low, high = phase.torque.bounds(memory.tau, self.dt)
         tau = np.clip(tau, low, high)
         self._memory = memory._replace(tau=tau, gravity=state.gravity(), q=np.array(q), v=np.array(v), status=status, good=0)
         return self._held_output(tau, status, reason or "held until reset")
 
     def _held_output(self, tau: Array, status: Status, reason: str) -> Output:
-        memory = self._memory
-        assert memory is not None
+        memory = self._remembered
         sent = tau - memory.gravity if self.robot.gravity == "robot" else tau.copy()
         return Output(sent, np.zeros(self.robot.nv), {}, (), status, reason, UNCERTIFIED)
-
-
-def fill(workspace: Workspace, costs: Sequence[tuple[Rows, float]], hard: Sequence[Rows]) -> str:
-    """Assemble a problem; answers why it must not be solved, or ""."""
-    workspace.clear()
-    for rows, weight in costs:
-        workspace.minimise(rows, weight)
-    for rows in hard:
-        workspace.constrain(rows)
-    return workspace.fault()
-
-
-def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, JointLimit | None]:
-    """Limits from `torque`, `torque_rate`, `position`, `velocity`: "model", a number or (nv,) within it, or None for none."""
-    n = robot.nv
-
-    def value(name: str, model: Array) -> Array:
-        given = limits.get(name, "model")
-        if given is None:
-            return np.full(n, np.inf)
-        if isinstance(given, str):
-            return model
-        given = np.broadcast_to(np.asarray(given, float), (n,))
-        if not (given > 0).all():
-            raise GainError(f"limits.{name}: expected positive numbers, got {given}")
-        return np.minimum(given, np.abs(model))
-
-    free = np.full(n, np.inf)
-    high = value("torque", np.minimum(robot.tau_max, -robot.tau_min))
-    if limits.get("torque", "model") is not None:
-        low, high = np.maximum(robot.tau_min, -high), np.minimum(robot.tau_max, high)
-    else:
-        low = -high
-    rate = value("torque_rate", free)
-    torque = TorqueLimit(low, high, rate, robot.joints)
-    position, v_max = limits.get("position", "model"), value("velocity", robot.v_max)
-    if robot.nq != n or (position is None and not np.isfinite(v_max).any()):
-        return torque, None
-    margin = float(position) if isinstance(position, (int, float)) else 0.0
-    q_min, q_max = (free * -1, free) if position is None else (robot.q_min + margin, robot.q_max - margin)
-    a, j = braking(robot, low, high, rate)
-    return torque, JointLimit(q_min, q_max, v_max, a, j, robot.joints)
 
 
 def _fault(name: str, value: Any, size: int) -> str:
@@ -537,7 +356,3 @@ def _fault(name: str, value: Any, size: int) -> str:
 
 def _fault_time(t: Any) -> str:
     return "" if isinstance(t, (int, float)) and math.isfinite(t) else f"t: expected a finite time [s], got {t!r}"
-
-
-def _refused(reason: str) -> Solution:
-    return Solution(np.zeros(0), np.zeros(0), UNCERTIFIED, False, reason)

@@ -14,10 +14,13 @@ time constant T, so that a joint that is pressed into its limit comes to rest th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from .errors import GainError
 from .qp import Array, Rows
 from .robot import Robot
 
@@ -73,6 +76,7 @@ class JointLimit:
         self.a = np.minimum(both((a, a)), 0.5 * np.sqrt(self._v_max * self.j))
         self._lead = np.maximum(2.0 * self.a * self.a / self.j, self.a * SETTLE)  # [rad/s] l, w'(0) <= 1/T
         self._lead2 = self._lead * self._lead
+        self._back = -np.minimum(0.1 * self.a, self._v_max)  # [rad/s] the way back from beyond the edge
         self._soft = 0.5 * SETTLE * self.j  # [rad/s^2] c
         self._soft2 = self._soft * self._soft
         self._far = self._asks_from()
@@ -95,7 +99,7 @@ class JointLimit:
         """w(d) [rad/s] and w'(d) [1/s]; beyond the edge w asks the joint to come back, slowly."""
         root = np.sqrt(self._lead2 + 2.0 * self.a * np.maximum(room, 0.0))
         slope = self.a / root
-        return root - self._lead + np.maximum(np.minimum(room, 0.0) * slope, -0.2 * self._lead), slope
+        return root - self._lead + np.maximum(np.minimum(room, 0.0) * slope, self._back), slope
 
     def _closing(self, gap: Array) -> Array:
         """m(e), and for a gap that is overstepped a return with the time constant T."""
@@ -165,3 +169,35 @@ def _fair(inertia: Array, effort: Array) -> Array:
         x2 = 1.0 / (price @ rows)
         price = price * np.sqrt(rows @ x2)
     return np.asarray(np.sqrt(x2 / (rows @ x2).max()))
+
+
+def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, JointLimit | None]:
+    """Limits from `torque`, `torque_rate`, `position`, `velocity`: "model", a number or (nv,) within it, or None for none."""
+    n = robot.nv
+
+    def value(name: str, model: Array) -> Array:
+        given = limits.get(name, "model")
+        if given is None:
+            return np.full(n, np.inf)
+        if isinstance(given, str):
+            return model
+        given = np.broadcast_to(np.asarray(given, float), (n,))
+        if not (given > 0).all():
+            raise GainError(f"limits.{name}: expected positive numbers, got {given}")
+        return np.minimum(given, np.abs(model))
+
+    free = np.full(n, np.inf)
+    high = value("torque", np.minimum(robot.tau_max, -robot.tau_min))
+    if limits.get("torque", "model") is not None:
+        low, high = np.maximum(robot.tau_min, -high), np.minimum(robot.tau_max, high)
+    else:
+        low = -high
+    rate = value("torque_rate", free)
+    torque = TorqueLimit(low, high, rate, robot.joints)
+    position, v_max = limits.get("position", "model"), value("velocity", robot.v_max)
+    if robot.nq != n or (position is None and not np.isfinite(v_max).any()):
+        return torque, None
+    margin = float(position) if isinstance(position, (int, float)) else 0.0
+    q_min, q_max = (free * -1, free) if position is None else (robot.q_min + margin, robot.q_max - margin)
+    a, j = braking(robot, low, high, rate)
+    return torque, JointLimit(q_min, q_max, v_max, a, j, robot.joints)

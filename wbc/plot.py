@@ -249,7 +249,7 @@ def _checks(ax: Axes, summary: dict[str, Any]) -> None:
     for y, check in enumerate(checks[:CHECKS], 1):
         cells = (
             _short(check["name"], 30),
-            f"{check['value']:.3g}",
+            "-" if check["value"] is None else f"{check['value']:.3g}",
             _bound(check["bound"]),
             "" if check["ok"] else "FAIL",
         )

@@ -174,7 +174,8 @@ def _checks(built: Built, figures: dict[str, float]) -> list[dict[str, Any]]:
     """Every bound with its verdict; what was not measured (a run that ended while settling) does not hold."""
     checks = []
     bounds = {name: (bound.min, bound.max) for name, bound in built.spec.expect.bounds.items()}
-    for name, (low, high) in bounds | {name: (None, most) for name, most in ALWAYS.items() if name not in bounds}.items():
+    bounds |= {name: (None, most) for name, most in ALWAYS.items() if name not in bounds}
+    for name, (low, high) in bounds.items():
         value = figures.get(name)
         told = high if low is None else {k: v for k, v in (("min", low), ("max", high)) if v is not None}
         above = value is not None and (low is None or value >= low)

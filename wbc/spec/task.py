@@ -22,8 +22,12 @@ class ForceTask(Model):
     ki: Gain = Field(default=0.0, description="integral gain [1/s]")
     damping: Gain = Field(default=0.0, description="damping along the constrained axes [N m s/rad, N s/m]")
     filter: Positive | None = Field(default=None, description="cut-off of the low-pass on the measured wrench [Hz]")
-    integral_limit: NonNegative | None = Field(default=None, description="bound of ki times the integral, each axis [N m, N]")
-    weight: Positive = Field(default=1.0, description="weight of the force cost against the motion's, where a limit makes them compete [1]")
+    integral_limit: NonNegative | None = Field(
+        default=None, description="bound of ki times the integral, each axis [N m, N]"
+    )
+    weight: Positive = Field(
+        default=1.0, description="weight of the force cost against the motion's, where a limit makes them compete [1]"
+    )
 
 
 class MotionTask(Model):

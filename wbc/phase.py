@@ -1,0 +1,188 @@
+"""What is active for a while, and the quadratic program that it makes of a state.
+
+A `Phase` places tasks with weights beside contacts and limits; a `Program` is its storage and puts their rows in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .contact import Contact
+from .dynamics import inertia, mobility, torque_map
+from .errors import NameNotFound
+from .limit import JointLimit, TorqueLimit, make_limits
+from .qp import Array, Rows, Variables, Workspace
+from .robot import Robot, State
+from .task import ForceTask, MotionTask, PostureTask, Task
+
+YIELD_WEIGHT = 1e4  # of joint viability, in ticks that have no answer otherwise
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Contacts, tasks with weights, limits. `until` [s] is the phase's length, infinite for the last."""
+
+    contacts: Mapping[str, Contact]
+    tasks: Mapping[str, Task]
+    weights: Mapping[str, float]
+    torque: TorqueLimit
+    joint: JointLimit | None
+    name: str = ""
+    until: float = math.inf
+
+
+def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any], limits: Mapping[str, Any]) -> Phase:
+    """A phase from what `Controller` is given: tasks, or pairs of a task and its weight. Raises WbcError."""
+    placed = {name: task if isinstance(task, tuple) else (task, 1.0) for name, task in tasks.items()}
+    for name, (task, _) in placed.items():
+        contact = getattr(task, "contact", None)
+        if contact is not None and contact not in contacts:
+            raise NameNotFound(f"contact (of task {name!r})", contact, contacts)
+        robot.frame_id(getattr(task, "frame", robot.frames[0]))
+    torque, joint = make_limits(robot, limits)
+    weights = {name: float(weight) for name, (_, weight) in placed.items()}
+    return Phase(dict(contacts), {name: task for name, (task, _) in placed.items()}, weights, torque, joint)
+
+
+def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
+    """Drop a posture where contacts and motion leave no null space; damp the self-motion that nothing else holds."""
+    state = State(start.robot, start.data, start.q, start.v)
+    hold(state, phase)
+    rows = [held.G for held in state.contacts.values()]
+    rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, MotionTask)]
+    rank = np.linalg.matrix_rank(np.concatenate(rows)) if rows else 0
+    postures = [name for name, task in phase.tasks.items() if isinstance(task, PostureTask)]
+    tasks = dict(phase.tasks)
+    if rank >= start.robot.nv:
+        for name in postures:
+            del tasks[name]
+            note = f"{name}: dropped, contacts and motion leave no null space of the {start.robot.nv} joints"
+            if note not in notes:
+                notes.append(note)
+    elif not postures:
+        tasks["self_motion"] = PostureTask(start.q, kp=0.0, kd=10.0)
+    return replace(phase, tasks=tasks, weights={name: phase.weights.get(name, 1.0) for name in tasks})
+
+
+def hold(state: State, phase: Phase) -> None:
+    """Evaluate the contacts of a phase at a state."""
+    for name, contact in phase.contacts.items():
+        state.contacts[name] = contact.hold(state)
+
+
+class Program:
+    """The program of one phase. Its structure is fixed here; `assemble` fills in the numbers of a tick."""
+
+    def __init__(self, phase: Phase, start: State) -> None:
+        self.phase = phase
+        self.motion = {n: t for n, t in phase.tasks.items() if isinstance(t, MotionTask)}
+        self.force = {t.contact: (n, t) for n, t in phase.tasks.items() if isinstance(t, ForceTask)}
+        self.posture = {n: t for n, t in phase.tasks.items() if isinstance(t, PostureTask)}
+        known = (MotionTask, ForceTask, PostureTask)
+        other = {n: t for n, t in phase.tasks.items() if not isinstance(t, known)}
+        self.above: dict[str, Task] = {**self.motion, **other}  # what the posture stays out of
+        # one motion task's rows hold the contacts' as well: then they are all that stands above the posture
+        self.single = len(self.motion) == 1 and not other
+        if self.single and next(iter(self.motion.values())).raw:
+            self.single = len(phase.contacts) == 1
+        state = State(start.robot, start.data, start.q, start.v)
+        hold(state, phase)
+        sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
+        hard = [c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in phase.contacts.items()]
+        hard.append(torque_map(state).rows(phase.torque.low, phase.torque.high, phase.torque.labels))
+        joint = phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
+        self.strict = self.last = Workspace(Variables(sizes), [*hard, joint] if joint else hard)
+        # the same with joint viability allowed to yield, for ticks that have no answer otherwise
+        self.yielding = None
+        if joint is not None:
+            joint = joint._replace(A=joint.A | {"yield": None})
+            self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, joint])
+        self._costs: list[tuple[Rows, float]] = []
+        self._hard: list[Rows] = []
+
+    @property
+    def yielded(self) -> bool:
+        """Whether the last problem let joint viability yield."""
+        return self.last is not self.strict
+
+    def assemble(self, state: State, bounds: tuple[Array, Array], dt: float) -> str:
+        """The problem of a tick, in `strict`; answers why it must not be solved, or ""."""
+        phase = self.phase
+        self._costs = self.costs(state)
+        self._hard = [contact.rows(name, state.contacts[name]) for name, contact in phase.contacts.items()]
+        self._hard.append(torque_map(state).rows(*bounds))
+        if phase.joint is not None:
+            self._hard.append(phase.joint.rows(state.q, state.v, dt))
+        self.last = self.strict
+        return _fill(self.strict, self._costs, self._hard)
+
+    def relax(self, state: State) -> bool:
+        """The same problem where joint viability yields: never dynamics, torque or its rate. False without joint limits."""
+        if self.yielding is None:
+            return False
+        zero = np.zeros(state.robot.nv)
+        spring = Rows("", {"yield": None}, zero, zero, np.diag(state.M.diagonal()))
+        joint = self._hard[-1]._replace(A={"vdot": None, "yield": None})
+        self.last = self.yielding
+        return not _fill(self.yielding, [*self._costs, (spring, YIELD_WEIGHT)], [*self._hard[:-1], joint])
+
+    def costs(self, state: State) -> list[tuple[Rows, float]]:
+        """Rows of all tasks with their weights."""
+        weights = self.phase.weights
+        costs = [(task.rows(state), weights[name]) for name, task in self.above.items()]
+        if not self.single:
+            costs += self._stack(state, [rows for rows, _ in costs])
+        for name, posture in self.posture.items():
+            costs.append((posture.rows(state), weights[name]))
+        for contact, held in state.contacts.items():
+            if contact in self.force:
+                name, force = self.force[contact]
+                costs.append((force.rows(state), weights[name]))
+            elif held.A.shape[0]:
+                zero = np.zeros(held.A.shape[0])
+                costs.append((Rows("", {contact: None}, zero, zero, mobility(state, held.G)), 1.0))
+        return costs
+
+    def _stack(self, state: State, above: list[Rows]) -> list[tuple[Rows, float]]:
+        """All that the posture stays out of, where it is more than one motion task; a cost that keeps H definite."""
+        held = list(state.contacts.values())
+        stack = [h.G for h in held] + [A for rows in above if (A := rows.A.get("vdot")) is not None]
+        if not stack:
+            state.primary = (np.zeros((0, state.robot.nv)), np.zeros((0, 0)), np.zeros((0, 0)))
+            return []
+        G = np.concatenate(stack)
+        K = mobility(state, G)
+        W = inertia(K)
+        state.primary = (G, W, K)
+        if above or not held:
+            return []
+        # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
+        rhs = np.concatenate([h.rhs for h in held])
+        return [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0)]
+
+    def names(self, z: Array, found: list[int], state: State, tau_last: Array, dt: float) -> tuple[str, ...]:
+        """Names of active rows of the last problem, with which of two limits it is that binds."""
+        joints, names = state.robot.joints, []
+        for i in found:
+            label = self.last.labels[i]
+            kind, _, joint = label[:-1].partition("[")
+            if kind == "torque":
+                label = self.phase.torque.name(joints.index(joint), bool(z[i] > 0.0), tau_last, dt)
+            elif kind == "joint" and self.phase.joint is not None:
+                label = self.phase.joint.name(joints.index(joint), bool(z[i] > 0.0), state.q)
+            names.append(label)
+        return tuple(names)
+
+
+def _fill(workspace: Workspace, costs: Sequence[tuple[Rows, float]], hard: Sequence[Rows]) -> str:
+    workspace.clear()
+    for rows, weight in costs:
+        workspace.minimise(rows, weight)
+    for rows in hard:
+        workspace.constrain(rows)
+    return workspace.fault()
