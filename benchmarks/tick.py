@@ -2,8 +2,8 @@
 
     python benchmarks/tick.py [--ticks N] [--set KEY=VALUE] [--solver NAME] [--json]
 
-The stages are those of `Controller.step`: state, rows, assembly, solve, certificate, decode. Every tick is a real one, of a
-run in MuJoCo, so that caches are as cold as in use; the floor is `pinocchio.computeAllTerms` on the same states.
+The stages are those of `Controller.step`: state, rows, assembly, solve, certificate, decode. Every tick is a real one,
+of a run in MuJoCo, so that caches are as cold as in use; the floor is `pinocchio.computeAllTerms` on the same states.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Controller.step from a loop of one's own: here MuJoCo stands for the robot, stepped by hand.
 
-    python examples/loop.py
+python examples/loop.py
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Every number that a shipped spec or a test is held to, in one place. A spec's `expect:` may be tighter, never looser."""
+"""Every number that a shipped spec or a test is held to. A spec's `expect:` may be tighter, never looser."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ import json
 import multiprocessing
 import os
 import random
+import re
 import time
 import traceback
 from collections import Counter
@@ -27,9 +28,15 @@ from wbc.spec import Spec, load, source
 
 SHIPPED = shipped_names("tasks", ".yaml")
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
+DEFAULTS = {"rate", "tasks.posture.target", "limits.torque", "limits.torque.scale"}  # keys shipped at their default
 SAMPLE = 24  # accepted mutations of each spec that the small campaign builds and runs
 TICKS = 20
 TIMES = (0.0, 0.4, 1.3, 2.9)  # [s] at which references are looked at
+
+# what to do about it: what was expected, the nearest name, or advice
+REMEDY = re.compile(
+    "expected|did you mean|is missing|given twice|choose|lower it|lower kp|only|can change|has no keys|already"
+)
 
 Path_ = tuple[str | int, ...]
 
@@ -209,7 +216,7 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
 
 class Outcome(NamedTuple):
     mutation: Mutation
-    verdict: str  # refused (by the spec), refused by the build, changed; everything else is a failure
+    verdict: str  # refused (by the spec), refused by the build, changed, default; everything else is a failure
     detail: str = ""
 
 
@@ -218,6 +225,7 @@ class Judge:
 
     def __init__(self, name: str, folder: Path) -> None:
         self.name, self.file, self.robots = name, folder / f"{name}.yaml", dict[Any, Any]()
+        self.plain = load(name).model_dump()
         self._original: str | None = None
 
     def original(self) -> str:
@@ -233,6 +241,8 @@ class Judge:
         begun, stage = time.thread_time(), "refused"
         try:
             spec = load(self.file)
+            if mutation.kind == "deleted" and spec.model_dump() == self.plain:
+                return Outcome(mutation, "default")
             if not build:
                 return Outcome(mutation, "accepted")
             stage = "refused by the build"
@@ -240,8 +250,10 @@ class Judge:
             outcome = Outcome(mutation, "changed" if changed else "UNCHANGED")
         except SpecError as error:
             outcome = Outcome(mutation, stage, str(error))
-            if not error.faults or not all(fault.line and fault.column and fault.message for fault in error.faults):
+            if not error.faults or not all(fault.line and fault.column for fault in error.faults):
                 outcome = Outcome(mutation, "NO PLACE", str(error))
+            elif not all(REMEDY.search(fault.message) for fault in error.faults):
+                outcome = Outcome(mutation, "NO REMEDY", str(error))
         except Exception:
             outcome = Outcome(mutation, "ESCAPED", traceback.format_exc())
         if time.thread_time() - begun > 1.0:
@@ -288,8 +300,10 @@ def test_every_mutation_is_refused_or_changes_a_number(name: str, tmp_path: Path
         for outcome in failed
     ]
     assert not failed, "\n".join([f"{len(failed)} of {len(outcomes)}; each repeats with:", *told])
+    defaults = {source.dotted(outcome.mutation.path) for outcome in outcomes if outcome.verdict == "default"}
+    assert defaults <= DEFAULTS  # what is deleted there is what is assumed there: the same spec
     if not wanted:
-        assert {outcome.verdict for outcome in outcomes} == {"refused", "refused by the build", "changed"}
+        assert {outcome.verdict for outcome in outcomes} == {"refused", "refused by the build", "changed", "default"}
 
 
 def test_the_campaign_sees_an_unread_key(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ def test_the_two_commands_are_what_the_check_runs():
     assert '".[test]"' in tests
     assert '".[test]"' in script
     assert "pytest -n 2" in tests
-    assert "pytest\" -n 2" in script
+    assert 'pytest" -n 2' in script
 
 
 def test_the_main_command_runs(tmp_path):

@@ -223,8 +223,8 @@ def test_wrench_map_keeps_the_power(panda, draw, rng):
     X, F = panda.wrench_map("wrist_sensor", "eraser"), rng.normal(size=6)
     for _ in range(3):
         state = draw(panda)
-        power = F @ state.frame("wrist_sensor").V
-        assert (X @ F) @ state.frame("eraser").V == pytest.approx(power, abs=1e-12)
+        seen = (X @ F) @ state.frame("eraser").V
+        assert seen == pytest.approx(F @ state.frame("wrist_sensor").V, abs=1e-12)
     assert panda.wrench_map("link6", "eraser") is None
 
 

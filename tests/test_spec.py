@@ -179,7 +179,7 @@ WRONG: dict[str, tuple[object, int, int, str, str]] = {
     "NaN": ([("kd: 20", "kd: .nan")], 17, 52, "tasks.draw.kd", "expected a finite number [1/s], got nan"),
     "infinity": ([("duration: 8", "duration: .inf")], 7, 1, "duration", "expected a finite number [s], got inf"),
     "overflow": ([("rate: 1000 ", "rate: 1e999 ")], 6, 1, "rate", "expected a finite number [Hz], got inf"),
-    "zero rate": ([("rate: 1000 ", "rate: 0 ")], 6, 1, "rate", "expected a number greater than 0 [Hz], got 0"),
+    "zero rate": ([("rate: 1000 ", "rate: 0 ")], 6, 1, "rate", "expected a number of at least 1 [Hz], got 0"),
     "text for a number": ([("rate: 1000 ", "rate: '1000' ")], 6, 1, "rate", "expected a number [Hz], got '1000'"),
     "truth for a number": ([("rate: 1000 ", "rate: true ")], 6, 1, "rate", "expected a number [Hz], got True"),
     "YAML 1.1 truth": ([("rate: 1000 ", "rate: on ")], 6, 1, "rate", "expected a number [Hz], got 'on'"),

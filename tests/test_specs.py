@@ -1,4 +1,4 @@
-"""Every shipped spec meets its bars, with both solvers, from true quantities; its `expect:` is never looser than they."""
+"""Every shipped spec meets its bars, with both solvers, from true quantities; its `expect:` is never looser."""
 
 from __future__ import annotations
 

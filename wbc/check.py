@@ -34,10 +34,16 @@ class Report:
     def as_json(self) -> dict[str, Any]:
         """The contract's object."""
         return {
-            "spec": self.spec, "ok": self.ok, "faults": [], "model_error": self.model_error, "feasible": self.feasible,
-            "reason": self.reason, "poles": [pole._asdict() for pole in self.poles], "damping_margins": self.damping_margins,
+            "spec": self.spec,
+            "ok": self.ok,
+            "faults": [],
+            "model_error": self.model_error,
+            "feasible": self.feasible,
+            "reason": self.reason,
+            "poles": [pole._asdict() for pole in self.poles],
+            "damping_margins": self.damping_margins,
             "notes": self.notes,
-        }  # fmt: skip
+        }
 
 
 def check(spec: Spec) -> Report:

@@ -7,6 +7,8 @@ stderr.
 from __future__ import annotations
 
 import json
+import math
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from . import __version__
-from .errors import SpecError, WbcError
+from .errors import Fault, SpecError, WbcError
 
 if TYPE_CHECKING:
     from .spec import Spec
@@ -26,7 +28,7 @@ _SET = click.option(
 )
 _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, all else on stderr.")
 _SOLVER = click.option("--solver", metavar="NAME", help="QP solver: daqp, proxqp, or a backend of qpsolvers.")
-_SEED = click.option("--seed", type=int, default=0, show_default=True, help="Seed of all noise.")
+_SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all noise.")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -44,7 +46,7 @@ def main() -> None:
 @_SET
 @click.option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=click.Path(path_type=Path),
     metavar="DIR",
     help="Where to write; runs/SPEC when left out.",
 )
@@ -61,19 +63,18 @@ def run(
 ) -> None:
     """Simulate SPEC (a shipped name or a file) and hold it against its bounds."""
     with _faults(spec, as_json):
-        extra = [f"duration={duration!r}"] if duration is not None else []
-        loaded = _load(spec, [*overrides, *extra, *([f"solver={solver}"] if solver else [])])
+        loaded = _load(spec, overrides, solver, duration)
         from .build import build
         from .run import run as simulate
 
         built = build(loaded)
         for note in built.notes:
             click.echo(f"note: {note}", err=True)
+        folder = _folder(out or Path("runs") / Path(loaded.file).stem)
         ticks = round(loaded.duration * loaded.rate)
         with _progress(f"{loaded.title or spec}", ticks) as progress, _viewer(headless) as show:
             result = simulate(built, seed, progress, show=show)
-        folder = out or Path("runs") / result.summary["spec"]
-        _write(result, folder)
+        result.write(folder)
     summary = result.summary
     _emit(summary, as_json, lambda: _tell_run(summary, folder))
     sys.exit(0 if summary["ok"] else 1)
@@ -89,7 +90,7 @@ def check(spec: str, solver: str | None, overrides: tuple[str, ...], as_json: bo
     with _faults(spec, as_json, _CHECK):
         from .check import check as examine
 
-        report = examine(_load(spec, [*overrides, *([f"solver={solver}"] if solver else [])]))
+        report = examine(_load(spec, overrides, solver))
     _emit(report.as_json(), as_json, lambda: _tell_check(report))
     sys.exit(0 if report.ok else 1)
 
@@ -103,13 +104,13 @@ def check(spec: str, solver: str | None, overrides: tuple[str, ...], as_json: bo
 def verify(spec: str, solver: str | None, seed: int, overrides: tuple[str, ...], as_json: bool) -> None:
     """Hold SPEC's program against the closed form of both laws, at every tick of its run and at random states."""
     with _faults(spec, as_json):
-        loaded = _load(spec, overrides)
+        loaded = _load(spec, overrides, solver)
         from .verify import LAWS
         from .verify import verify as certify
 
         ticks = round(loaded.duration * loaded.rate) * len(LAWS)
         with _progress(f"verify {spec}", ticks) as progress:
-            certificate = certify(loaded, solver, seed=seed, progress=progress)
+            certificate = certify(loaded, seed=seed, progress=progress)
     _emit(certificate.as_json(), as_json, lambda: _tell_verify(certificate))
     sys.exit(0 if certificate.ok else 1)
 
@@ -140,6 +141,7 @@ def compare(specs: tuple[str, ...], solvers: str, overrides: tuple[str, ...], as
 
 
 @main.command()
+@click.option("--json", is_flag=True, expose_value=False, help="It is one JSON object anyway.")
 def schema() -> None:
     """Print the JSON Schema of a spec, for editors."""
     from .spec import json_schema
@@ -162,10 +164,11 @@ def doctor(as_json: bool) -> None:
 _CHECK: dict[str, Any] = {"model_error": None, "feasible": False, "poles": []}
 
 
-def _load(spec: str, overrides: Any) -> Spec:
+def _load(spec: str, overrides: tuple[str, ...], solver: str | None = None, duration: float | None = None) -> Spec:
     from .spec import load
 
-    return load(spec, tuple(overrides))
+    own = {"solver": solver, "duration": None if duration is None else repr(duration)}
+    return load(spec, (*overrides, *(f"{key}={value}" for key, value in own.items() if value is not None)))
 
 
 @contextmanager
@@ -173,35 +176,36 @@ def _faults(spec: str, as_json: bool, more: dict[str, Any] | None = None) -> Ite
     """Bad input becomes one message a fault, and exit status 2."""
     try:
         yield
-    except SpecError as error:
-        for fault in error.faults:
+    except (WbcError, OSError) as error:
+        faults = error.faults if isinstance(error, SpecError) else [Fault(spec, 0, 0, "", str(error))]
+        for fault in faults:
             click.echo(str(fault), err=True)
         if as_json:
-            click.echo(
-                json.dumps(
-                    {"spec": spec, "ok": False, "faults": [vars(fault) for fault in error.faults]} | (more or {})
-                )
-            )
-        sys.exit(2)
-    except (WbcError, OSError) as error:
-        click.echo(f"{spec}: {error}", err=True)
-        if as_json:
-            fault = {"file": spec, "line": 0, "column": 0, "key": "", "message": str(error)}
-            click.echo(json.dumps({"spec": spec, "ok": False, "faults": [fault]} | (more or {})))
+            found = {"spec": spec, "ok": False, "faults": [vars(fault) for fault in faults]}
+            click.echo(json.dumps(found | (more or {})))
         sys.exit(2)
 
 
 def _emit(value: dict[str, Any], as_json: bool, tell: Callable[[], None]) -> None:
     if as_json:
-        click.echo(json.dumps(value))
+        click.echo(json.dumps(_plain(value), allow_nan=False))
     else:
         tell()
+
+
+def _plain(value: Any) -> Any:
+    """The same with null for what is no number: JSON knows neither NaN nor infinity."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _console(err: bool = False) -> Any:
     from rich.console import Console
 
-    return Console(stderr=err, highlight=False)
+    return Console(stderr=err, highlight=False, markup=False)  # names and titles are no markup
 
 
 @contextmanager
@@ -209,7 +213,7 @@ def _progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     with Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:3.0f} %"),
         TimeRemainingColumn(),
@@ -231,30 +235,31 @@ def _viewer(headless: bool) -> Iterator[Any]:
         yield show
 
 
-def _write(result: Any, folder: Path) -> None:
+def _folder(folder: Path) -> Path:
+    """Made, and found to be writable: better said before the run than after it."""
     try:
-        result.write(folder)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WbcError(f"--out {folder}: cannot write there: {error.strerror or error}") from error
+        raise WbcError(f"--out {folder}: cannot be made: {error.strerror}; choose another folder") from None
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise WbcError(f"--out {folder}: no permission to write there; choose another folder")
+    return folder
 
 
 def _tell_run(summary: dict[str, Any], folder: Path) -> None:
     from rich.table import Table
+    from rich.text import Text
 
     console = _console()
-    table = Table(
-        "quantity", "value", "bound", "", title=f"{summary['spec']}: {'all held' if summary['ok'] else 'FAILED'}"
-    )
+    title = Text(f"{summary['spec']}: {'all held' if summary['ok'] else 'FAILED'}")
+    table = Table("quantity", "value", "bound", "", title=title)
     for entry in summary["checks"]:
-        table.add_row(
-            entry["name"],
-            "not measured" if entry["value"] is None else f"{entry['value']:.4g}",
-            str(entry["bound"]),
-            "[green]ok[/]" if entry["ok"] else "[red]missed[/]",
-        )
+        value = "not measured" if entry["value"] is None else f"{entry['value']:.4g}"
+        verdict = Text("ok", "green") if entry["ok"] else Text("missed", "red")
+        table.add_row(entry["name"], value, str(entry["bound"]), verdict)
     console.print(table)
     if "broken" in summary:
-        console.print(f"[red]{summary['broken']}[/]")
+        console.print(Text(summary["broken"], "red"))
     status = ", ".join(f"{name} {count}" for name, count in summary["status"].items())
     us = summary["step_us"]
     console.print(f"{summary['ticks']} ticks: {status}; tick {us['p50']:.0f} us median, {us['p99']:.0f} us p99")
@@ -263,6 +268,8 @@ def _tell_run(summary: dict[str, Any], folder: Path) -> None:
 
 def _tell_check(report: Any) -> None:
     from rich.table import Table
+
+    from .build import against
 
     console = _console()
     for note in report.notes:
@@ -275,39 +282,29 @@ def _tell_check(report: Any) -> None:
     if worst:
         table = Table("force loop", "largest pole", "margin", "against", title="poles over the stiffness range")
         for (contact, axis), pole in worst.items():
-            against = (
-                "a rigid wall"
-                if pole.stiffness is None
-                else f"{pole.stiffness:.3g} {'N m/rad' if axis.startswith('m') else 'N/m'}"
-            )
-            table.add_row(f"{contact}.{axis}", f"{pole.radius:.5f}", f"{1 - pole.radius:.1e}", against)
+            table.add_row(f"{contact}.{axis}", f"{pole.radius:.5f}", f"{1 - pole.radius:.1e}", against(pole))
         console.print(table)
     for task, margin in report.damping_margins.items():
         console.print(f"{task}: damping uses {margin / 2:.0%} of what this rate allows")
-    console.print(
-        f"MuJoCo and Pinocchio agree to {report.model_error:.0e}; start pose {'feasible' if report.feasible else 'NOT feasible: ' + report.reason}"
-    )
+    start = "feasible" if report.feasible else f"NOT feasible: {report.reason}"
+    console.print(f"MuJoCo and Pinocchio agree to {report.model_error:.0e}; start pose {start}")
     console.print(f"{report.spec}: {'ok' if report.ok else 'FAILED'}")
 
 
 def _tell_verify(certificate: Any) -> None:
     from rich.table import Table
+    from rich.text import Text
 
     console = _console()
-    table = Table(
-        "law",
-        "torque",
-        "acceleration",
-        "multipliers",
-        "KKT residual",
-        title=f"{certificate.spec}: worst errors, relative to 1 + the largest entry",
-    )
+    title = Text(f"{certificate.spec}: worst errors, relative to 1 + the largest entry")
+    table = Table("law", "torque", "acceleration", "multipliers", "KKT residual", title=title)
     for law, worst in certificate.laws.items():
         table.add_row(law, *(f"{value:.1e}" for value in vars(worst).values()))
     console.print(table)
+    states = f"{certificate.states} random states ({certificate.dropped} ill-conditioned ones dropped)"
     console.print(
-        f"{certificate.ticks} ticks ({certificate.lifted} with an active limit lifted), {certificate.states} random states "
-        f"({certificate.dropped} ill-conditioned ones dropped); with MuJoCo's M, h, J {certificate.max_tau_error_mujoco:.1e}; "
+        f"{certificate.ticks} ticks ({certificate.lifted} with an active limit lifted), {states}; "
+        f"with MuJoCo's M, h, J {certificate.max_tau_error_mujoco:.1e}; "
         f"bar {certificate.tolerance:.0e}: {'holds' if certificate.ok else 'FAILED'}"
     )
 

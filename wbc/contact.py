@@ -65,7 +65,7 @@ class Contact(ABC):
 
     def pseudo_inverse(self, A: Array) -> Array:
         """(k, 6) (A')^+: multipliers of a wrench, lambda = (A')^+ F."""
-        return np.linalg.pinv(A).T
+        return np.asarray(np.linalg.pinv(A).T, float)
 
     def hold(self, state: State) -> Held:
         """Evaluate at a state."""
@@ -228,7 +228,7 @@ class ScrewContact(Contact):
 
 
 class SphereContact(Contact):
-    """The origin of the frame stays on a sphere around `centre` [m, world]: one row along the normal n = (p - c)/|p - c|.
+    """The origin of the frame stays on a sphere around `centre` c [m, world]: a row along n = (p - c)/|p - c|.
 
     A = [0, n' R];   Adot V = n' R (w x v) + ndot' R v   with   ndot = (I - n n') R v / |p - c|.
     """

@@ -43,7 +43,7 @@ class Status(Enum):
 
 
 class Output(NamedTuple):
-    """What a tick answers. `tau` (nv,) [N m] is what the driver is sent; `wrenches` are predicted, robot on environment."""
+    """What a tick answers. `tau` (nv,) [N m] is for the driver; `wrenches` are predicted, robot on environment."""
 
     tau: Array
     vdot: Array
@@ -98,7 +98,9 @@ class Controller:
         self._solver = make(solver)
         # the yielding problem has another shape: a solver of its own keeps both warm
         self._second = make(solver) if isinstance(solver, str) else self._solver
-        start = State(robot, self._data, robot.keyframes["home"] if q is None else np.array(q, float), np.zeros(robot.nv))
+        start = State(
+            robot, self._data, robot.keyframes["home"] if q is None else np.array(q, float), np.zeros(robot.nv)
+        )
         if phases is None:
             phases = [place(robot, contacts or {}, tasks or {}, limits or {})]
         self.notes: list[str] = []
@@ -168,7 +170,7 @@ class Controller:
             if fault := _fault("tau", tau, self.robot.nv):
                 raise StateError(fault)
             total = np.array(tau, float) + (gravity if self.robot.gravity == "robot" else 0.0)
-        self.memory = Memory(tau=total, gravity=gravity, q=q, v=v)
+        self.memory = Memory(tau=self._programs[0].phase.torque.inside(total), gravity=gravity, q=q, v=v)
 
     # --- the tick ---
 
@@ -203,8 +205,10 @@ class Controller:
             return self._hold(fault)
         if memory.status in (Status.SAFE_HOLD, Status.STOPPED) or missed >= MISSED_STOPPED:
             stopped = missed >= MISSED_STOPPED or memory.status is Status.STOPPED
-            return self._safe_hold(q, v, Status.STOPPED if stopped else Status.SAFE_HOLD, f"{missed} ticks missed" if missed else "")
-        memory = self._advance_time(memory, t)
+            return self._safe_hold(
+                q, v, Status.STOPPED if stopped else Status.SAFE_HOLD, f"{missed} ticks missed" if missed else ""
+            )
+        known, memory = memory, self._advance_time(memory, t)
         dt = self.dt if memory.t is None else min(max(t - memory.t, 0.0), 2.0 * self.dt)
         state = self.state = State(self.robot, self._data, q, v, t - memory.start, dt)
         refused = self._read(state, memory, measured, targets)
@@ -215,22 +219,27 @@ class Controller:
             else:
                 tau_last = tau_applied + memory.gravity if self.robot.gravity == "robot" else tau_applied
         program = self._programs[memory.phase]
-        tau_last = program.phase.torque.inside(tau_last)
+        if tau_last is not memory.tau or memory.phase != known.phase:
+            tau_last = program.phase.torque.inside(tau_last)
         bounds = program.phase.torque.bounds(tau_last, self.dt)
-        if fault := program.assemble(state, bounds, self.dt):
-            return self._hold(fault)
+        if not program.assemble(state, bounds, self.dt):
+            return self._hold(program.last.fault())
         solution = answer(self._solver, program.strict.problem)
         if not solution.accepted and program.relax(state):
             solution = answer(self._second, program.last.problem)
         if not solution.accepted:
-            return self._hold(solution.reason)
+            return self._hold(program.last.fault() or solution.reason)
         return self._accept(program, state, solution, tau_last, bounds, memory, t, refused, missed)
 
     def _advance_time(self, memory: Memory, t: float) -> Memory:
         if memory.t is None:
             return memory._replace(start=t, phase_start=t)
-        while t - memory.phase_start >= self._programs[memory.phase].phase.until - 1e-9 and memory.phase + 1 < len(self._programs):
-            memory = memory._replace(phase=memory.phase + 1, phase_start=memory.phase_start + self._programs[memory.phase].phase.until)
+        while t - memory.phase_start >= self._programs[memory.phase].phase.until - 1e-9 and memory.phase + 1 < len(
+            self._programs
+        ):
+            memory = memory._replace(
+                phase=memory.phase + 1, phase_start=memory.phase_start + self._programs[memory.phase].phase.until
+            )
         return memory
 
     def _read(self, state: State, memory: Memory, measured: Any, targets: Any) -> list[str]:
@@ -246,7 +255,8 @@ class Controller:
                 continue
             F = wrench.at(state, phase.contacts[name].frame) if isinstance(wrench, Wrench) else None
             if F is None or not math.isfinite(F.dot(F)):
-                refused.append(f"measured.{name}: expected a finite Wrench, got {type(wrench).__name__ if F is None else F}; the last one stands")
+                got = type(wrench).__name__ if F is None else F
+                refused.append(f"measured.{name}: expected a finite Wrench, got {got}; the last one stands")
                 F = loops[name].filtered if name in loops else None
             if F is not None:
                 state.measured[name] = F
@@ -297,7 +307,9 @@ class Controller:
             reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
         if good < GOOD_TICKS or missed >= MISSED_DEGRADED:
             status = Status.DEGRADED
-            reason = reason or (f"{missed} ticks missed" if missed else f"recovering: {good} of {GOOD_TICKS} good ticks")
+            reason = reason or (
+                f"{missed} ticks missed" if missed else f"recovering: {good} of {GOOD_TICKS} good ticks"
+            )
         by_robot = self.robot.gravity == "robot"
         gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
@@ -323,7 +335,7 @@ class Controller:
         return self._held_output(memory.tau, Status.DEGRADED, reason)
 
     def _safe_hold(self, q: Array, v: Array, status: Status, reason: str) -> Output:
-        """g(q) + J' F with the last certified wrenches, plus damping, at the last valid state, inside limit and rate."""
+        """g(q) + J' F with the last certified wrenches, plus damping, at the last valid state, in limit and rate."""
         memory = self._remembered
         phase = self._programs[memory.phase].phase
         state = State(self.robot, self._data, q, v, 0.0, self.dt)
@@ -334,7 +346,9 @@ class Controller:
                 tau = tau + state.contacts[name].G.T @ lam
         low, high = phase.torque.bounds(memory.tau, self.dt)
         tau = np.clip(tau, low, high)
-        self._memory = memory._replace(tau=tau, gravity=state.gravity(), q=np.array(q), v=np.array(v), status=status, good=0)
+        self._memory = memory._replace(
+            tau=tau, gravity=state.gravity(), q=np.array(q), v=np.array(v), status=status, good=0
+        )
         return self._held_output(tau, status, reason or "held until reset")
 
     def _held_output(self, tau: Array, status: Status, reason: str) -> Output:

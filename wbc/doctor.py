@@ -28,7 +28,8 @@ def examine() -> dict[str, Any]:
         "packages": {name: _version(name) for name in PACKAGES},
         "pinocchio": f"{pinocchio.__version__} from {pinocchio.__file__}",
         "solvers": installed(),
-        "rendering": os.environ.get("MUJOCO_GL") or ("a display" if os.environ.get("DISPLAY") else "no display: MUJOCO_GL=egl renders off screen"),
+        "rendering": os.environ.get("MUJOCO_GL")
+        or ("a display" if os.environ.get("DISPLAY") else "no display: MUJOCO_GL=egl renders off screen"),
         "specs": shipped_names("tasks", ".yaml"),
         "robots": shipped_names("scenes/robots", ".xml"),
     }

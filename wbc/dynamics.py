@@ -1,6 +1,6 @@
 """Equations of motion: the affine map (vdot, lambda) -> tau that eliminates the torque, and inertias of row stacks.
 
-    tau = M vdot + h + sum_c G_c' lambda_c,     G_c = A_c J_c
+tau = M vdot + h + sum_c G_c' lambda_c,     G_c = A_c J_c
 """
 
 from __future__ import annotations

@@ -66,6 +66,10 @@ class WrenchError(WbcError):
     """A desired wrench that the contact cannot carry: outside the column space of A' (book 11.6.1)."""
 
 
+class LawError(WbcError):
+    """A control law asked for where it does not apply."""
+
+
 class GainError(WbcError):
     """A gain of the wrong size, or one that is not positive definite."""
 
@@ -92,8 +96,9 @@ class SolverError(WbcError):
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """The most similar of `known`, or None."""
-    match = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return match[0] if match else None
+    folded = {each.lower(): each for each in known}
+    match = difflib.get_close_matches(name.lower(), list(folded), n=1, cutoff=0.5)
+    return folded[match[0]] if match else None
 
 
 def did_you_mean(name: str, known: Iterable[str], most: int = 12) -> str:

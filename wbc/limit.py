@@ -79,7 +79,7 @@ class JointLimit:
         self._back = -np.minimum(0.1 * self.a, self._v_max)  # [rad/s] the way back from beyond the edge
         self._soft = 0.5 * SETTLE * self.j  # [rad/s^2] c
         self._soft2 = self._soft * self._soft
-        self._far = self._asks_from()
+        self._clear = self._edge - self._asks_from()
 
     def _asks_from(self) -> Array:
         """(2 nv,) room [rad] beyond which position asks nothing, at any speed, that velocity does not ask."""
@@ -121,13 +121,13 @@ class JointLimit:
         """Bounds on vdot [rad/s^2] under which the next state is viable."""
         n = self.n
         speed = self._sides.dot(v)
-        room = self._edge - self._sides.dot(q + dt * v)
+        ahead = self._sides.dot(q + dt * v)
         spare = self._v_max - speed
-        if min((room - self._far).tolist()) > 0.0 and min(spare.tolist()) >= 0.0:
+        if min((self._clear - ahead).tolist()) > 0.0 and min(spare.tolist()) >= 0.0:
             most = np.sqrt(self._soft2 + self.j * spare)
             most -= self._soft
             return Rows("joint", {"vdot": None}, -most[n:], most[:n])
-        w, slope = self._curve(room)
+        w, slope = self._curve(self._edge - ahead)
         most = np.minimum(self._closing(spare), self._closing(w - speed) - slope * speed)
         most = np.maximum(most, -self.a)  # from beyond a limit the model brakes with no more than it has
         return Rows("joint", {"vdot": None}, np.minimum(-most[n:], most[:n]), np.maximum(-most[n:], most[:n]))

@@ -45,7 +45,7 @@ class Log:
         return sorted(self._arrays)
 
     def save(self, path: Path) -> None:
-        """Write `path` (npz): the arrays, `meta` as JSON, and active limits as a table of names and a (ticks, names) mask."""
+        """Write `path` (npz): the arrays, `meta` as JSON, and active limits as names and a (ticks, names) mask."""
         names = sorted({name for active in self.active for name in active})
         mask = np.zeros((self.size, len(names)), dtype=bool)
         for i, active in enumerate(self.active):

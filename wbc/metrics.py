@@ -37,7 +37,11 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
     for phase in phases:
         for task in phase.tasks.values():
             if isinstance(task, ForceTask):
-                names += [f"{task.contact}.{axis}.{figure}" for axis in task.axes for figure in ("rms_error", "max_error", "mean")]
+                names += [
+                    f"{task.contact}.{axis}.{figure}"
+                    for axis in task.axes
+                    for figure in ("rms_error", "max_error", "mean")
+                ]
         names += [f"{contact}.lost" for contact in phase.contacts]
         for name, task in phase.tasks.items():
             if isinstance(task, MotionTask):
@@ -82,7 +86,11 @@ def _limits(log: Log) -> dict[str, float]:
     tau, low, high = log["tau"], log["tau_min"], log["tau_max"]
     rate = np.abs(np.diff(tau, axis=0)) / log.meta["dt"]
     limit = log["torque_rate_limit"][1:]
-    joint = np.maximum(log["q"] - log.meta["q_max"], np.array(log.meta["q_min"]) - log["q"]) if log.meta.get("q_max") else np.zeros(1)
+    joint = (
+        np.maximum(log["q"] - log.meta["q_max"], np.array(log.meta["q_min"]) - log["q"])
+        if log.meta.get("q_max")
+        else np.zeros(1)
+    )
     status = np.array([log.meta["status_names"][int(s)] for s in log["status"]])
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(np.isfinite(high), np.maximum(tau / high, tau / low), 0.0)

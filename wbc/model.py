@@ -36,7 +36,9 @@ def find(kind: str, name: str) -> Path:
         raise ModelError(f"no file {name!r}; expected a path, or one of {', '.join(shipped_names(kind, '.xml'))}")
     if found := shipped(kind, name, ".xml"):
         return found
-    raise ModelError(f"no {kind.split('/')[-1].rstrip('s')} named {name!r}{did_you_mean(name, shipped_names(kind, '.xml'))}")
+    raise ModelError(
+        f"no {kind.split('/')[-1].rstrip('s')} named {name!r}{did_you_mean(name, shipped_names(kind, '.xml'))}"
+    )
 
 
 def _example_robot(name: str) -> Path:
@@ -51,7 +53,9 @@ def _example_robot(name: str) -> Path:
     return Path(getModelPath(relative)) / relative
 
 
-def compose(robot: str | Path, tool: str | None = None, scene: str | None = None) -> tuple[mujoco.MjSpec, dict[str, Array]]:
+def compose(
+    robot: str | Path, tool: str | None = None, scene: str | None = None
+) -> tuple[mujoco.MjSpec, dict[str, Array]]:
     """One specification of robot, tool and scene, and the robot's keyframes (name -> qpos in MuJoCo's order).
 
     The scene is the parent, so that its options hold; the robot stands at the world's origin or at the scene's site
@@ -123,13 +127,17 @@ def _read_urdf(path: Path) -> mujoco.MjSpec:
             link.remove(shape)
     for extension in root.findall("mujoco"):
         root.remove(extension)
-    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", strippath="false", fusestatic="false", balanceinertia="true")
+    ET.SubElement(
+        ET.SubElement(root, "mujoco"), "compiler", strippath="false", fusestatic="false", balanceinertia="true"
+    )
     spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
     spec.nuser_jnt = max(spec.nuser_jnt, 1)
-    velocity = {joint.get("name"): limit.get("velocity") for joint in root.iter("joint") for limit in joint.findall("limit")}
+    velocity = {
+        joint.get("name"): limit.get("velocity") for joint in root.iter("joint") for limit in joint.findall("limit")
+    }
     for joint in spec.joints:
         if velocity.get(joint.name):
-            joint.userdata = [float(velocity[joint.name])]
+            joint.userdata = [float(velocity[joint.name] or 0.0)]
         actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gainprm[0] = 1.0
     return spec

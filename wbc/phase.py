@@ -14,13 +14,13 @@ import numpy as np
 
 from .contact import Contact
 from .dynamics import inertia, mobility, torque_map
-from .errors import NameNotFound
+from .errors import LawError, NameNotFound
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .robot import Robot, State
 from .task import ForceTask, MotionTask, PostureTask, Task
 
-YIELD_WEIGHT = 1e4  # of joint viability, in ticks that have no answer otherwise
+YIELD_WEIGHT = 1e6  # of joint viability, in ticks that have no answer otherwise
 
 
 @dataclass(frozen=True)
@@ -88,19 +88,26 @@ class Program:
         self.above: dict[str, Task] = {**self.motion, **other}  # what the posture stays out of
         # one motion task's rows hold the contacts' as well: then they are all that stands above the posture
         self.single = len(self.motion) == 1 and not other
-        if self.single and next(iter(self.motion.values())).raw:
-            self.single = len(phase.contacts) == 1
+        if any(task.raw for task in self.motion.values()) and not (self.single and len(phase.contacts) == 1):
+            raise LawError(
+                f"law: book is for one contact and one motion task on it; there are {len(phase.contacts)} contacts and "
+                f"{len(self.above)} tasks of motion; use law: compensated"
+            )
         state = State(start.robot, start.data, start.q, start.v)
         hold(state, phase)
         sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
-        hard = [c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in phase.contacts.items()]
+        hard = [
+            c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in phase.contacts.items()
+        ]
         hard.append(torque_map(state).rows(phase.torque.low, phase.torque.high, phase.torque.labels))
-        joint = phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
+        joint = (
+            phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
+        )
         self.strict = self.last = Workspace(Variables(sizes), [*hard, joint] if joint else hard)
         # the same with joint viability allowed to yield, for ticks that have no answer otherwise
         self.yielding = None
         if joint is not None:
-            joint = joint._replace(A=joint.A | {"yield": None})
+            joint = joint._replace(A={"vdot": None, "yield": None})
             self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, joint])
         self._costs: list[tuple[Rows, float]] = []
         self._hard: list[Rows] = []
@@ -110,8 +117,8 @@ class Program:
         """Whether the last problem let joint viability yield."""
         return self.last is not self.strict
 
-    def assemble(self, state: State, bounds: tuple[Array, Array], dt: float) -> str:
-        """The problem of a tick, in `strict`; answers why it must not be solved, or ""."""
+    def assemble(self, state: State, bounds: tuple[Array, Array], dt: float) -> bool:
+        """The problem of a tick, in `strict`; False when it must not be solved."""
         phase = self.phase
         self._costs = self.costs(state)
         self._hard = [contact.rows(name, state.contacts[name]) for name, contact in phase.contacts.items()]
@@ -122,14 +129,14 @@ class Program:
         return _fill(self.strict, self._costs, self._hard)
 
     def relax(self, state: State) -> bool:
-        """The same problem where joint viability yields: never dynamics, torque or its rate. False without joint limits."""
+        """The problem with joint viability yielding; dynamics, torque and rate never do. False without joint limits."""
         if self.yielding is None:
             return False
         zero = np.zeros(state.robot.nv)
         spring = Rows("", {"yield": None}, zero, zero, np.diag(state.M.diagonal()))
         joint = self._hard[-1]._replace(A={"vdot": None, "yield": None})
         self.last = self.yielding
-        return not _fill(self.yielding, [*self._costs, (spring, YIELD_WEIGHT)], [*self._hard[:-1], joint])
+        return _fill(self.yielding, [*self._costs, (spring, YIELD_WEIGHT)], [*self._hard[:-1], joint])
 
     def costs(self, state: State) -> list[tuple[Rows, float]]:
         """Rows of all tasks with their weights."""
@@ -179,10 +186,10 @@ class Program:
         return tuple(names)
 
 
-def _fill(workspace: Workspace, costs: Sequence[tuple[Rows, float]], hard: Sequence[Rows]) -> str:
+def _fill(workspace: Workspace, costs: Sequence[tuple[Rows, float]], hard: Sequence[Rows]) -> bool:
     workspace.clear()
     for rows, weight in costs:
         workspace.minimise(rows, weight)
     for rows in hard:
         workspace.constrain(rows)
-    return workspace.fault()
+    return workspace.finite()

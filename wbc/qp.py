@@ -204,20 +204,20 @@ class Workspace:
 
     def minimise(self, rows: Rows, weight: float) -> None:
         """Add `weight / 2 |A x - lo|^2` in the metric of the rows."""
-        metric, target = rows.metric, rows.lo
+        _, coefficients, target, _, metric, _ = rows
         weighted = {}
-        for name, A in rows.A.items():
+        for name, A in coefficients.items():
             if A is None:
                 WA = metric if metric is not None else np.eye(target.size)
             else:
                 WA = A if metric is None else metric.dot(A)
-            weighted[name] = WA * weight if weight != 1.0 else WA
-        for name, A in rows.A.items():
-            for other, WB in weighted.items():
-                H = self._H[name, other]
-                H += WB if A is None else A.T.dot(WB)
+            weighted[name] = WA if weight == 1.0 else WA * weight
+        for name, WA in weighted.items():
             g = self._g[name]
-            g -= target.dot(weighted[name])
+            g -= target.dot(WA)
+            for other, A in coefficients.items():
+                H = self._H[other, name]
+                H += WA if A is None else A.T.dot(WA)
 
     def constrain(self, rows: Rows) -> None:
         """Put a hard block in its place."""
@@ -232,14 +232,17 @@ class Workspace:
         value: Array = self._blocks[name].C.dot(x)
         return value
 
+    def finite(self) -> bool:
+        """Whether every coefficient is a number; a solver given one that is not may run for minutes."""
+        return math.isfinite(np.add.reduce(self._buffer))
+
     def fault(self) -> str:
-        """Why the assembled problem must not reach a solver, or ""."""
-        if not math.isfinite(np.add.reduce(self._buffer)):
+        """Why the assembled problem has no answer, where that can be seen, or ""."""
+        if not self.finite():
             return "a coefficient of the problem is not finite"
         ordered = self.problem.lo <= self.problem.hi  # False also for NaN
         if not ordered.all():
-            first = int(np.argmin(ordered))
-            return f"no value satisfies {self.labels[first]}: its bounds cross or are not numbers"
+            return f"no value satisfies {self.labels[int(np.argmin(ordered))]}: its bounds cross or are not numbers"
         return ""
 
     def active(self, z: Array, least: float = 1e-9) -> list[int]:

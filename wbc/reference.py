@@ -105,8 +105,7 @@ class Path:
         self.offset = offset
         self._R, self._p = origin.rotation.copy(), origin.translation.copy()
         self._turns = [(i, self.along[i]) for i in _ROTATIONS if i in self.along]
-        still = (0.0, 0.0, 0.0)
-        self._x, self._y, self._z = (self.along.get(i, lambda t: still) for i in (3, 4, 5))
+        self._x, self._y, self._z = (self.along.get(i, constant(0.0)) for i in (3, 4, 5))
 
     def __call__(self, t: float) -> Sample:
         (x, vx, ax), (y, vy, ay), (z, vz, az) = self._x(t), self._y(t), self._z(t)
@@ -122,7 +121,7 @@ class Path:
 
     @staticmethod
     def _turn(axis: int, s: float, rate: float, bend: float, motion: Array) -> Array:
-        """Move `motion` into the turned axes and add the turn: V' = Ad V + S sdot, Vdot' = Ad Vdot - ad_S Ad V sdot + S sddot."""
+        """`motion` in turned axes, with the turn: V' = Ad V + S sdot, Vdot' = Ad Vdot - ad_S Ad V sdot + S sddot."""
         unit = np.eye(3)[axis]
         step = pin.exp3(s * unit)
         motion[:3], motion[3:] = step.T @ motion[:3], step.T @ motion[3:]
@@ -139,7 +138,7 @@ def _seen_from(T: pin.SE3, motion: Array) -> Array:
 
 
 class ScrewPath:
-    """Motion along screws (6,) fixed in the pose `origin`: T_d = origin exp([S_1] s_1(t)) ... exp([S_f] s_f(t)) start."""
+    """Motion along screws (6,) of the fixed pose `origin`: T_d = origin exp([S_1] s_1(t)) ... start."""
 
     def __init__(self, origin: pin.SE3, screws: Sequence[Array], scalars: Sequence[Scalar], start: pin.SE3) -> None:
         self._origin, self._start = origin.copy(), start.copy()

@@ -36,7 +36,23 @@ class State:
     them. Valid until the next state is computed from the same `data`.
     """
 
-    __slots__ = ("robot", "data", "t", "dt", "q", "v", "M", "h", "contacts", "measured", "targets", "loops", "primary", "_frames", "_L")
+    __slots__ = (
+        "M",
+        "_L",
+        "_frames",
+        "contacts",
+        "data",
+        "dt",
+        "h",
+        "loops",
+        "measured",
+        "primary",
+        "q",
+        "robot",
+        "t",
+        "targets",
+        "v",
+    )
 
     def __init__(self, robot: Robot, data: Any, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> None:
         self.robot, self.data, self.t, self.dt, self.q, self.v = robot, data, t, dt, q, v
@@ -85,7 +101,8 @@ class State:
 class Robot:
     """A robot's model, names and limits. Make one with `load` or `from_pinocchio`.
 
-    `gravity`: who adds g(q) to the torque, "controller" (this package) or "robot" (its driver; limits hold for the sum).
+    `gravity`: who adds g(q) to the torque, "controller" (this package) or "robot" (its driver; limits hold for the
+    sum).
     Limits are (nv,): tau [N m], q [rad or m], v [rad/s or m/s], infinite where the model states none.
     """
 
@@ -103,16 +120,19 @@ class Robot:
     mujoco: Any = None  # the compiled MjModel, where there is one
     model_error: float = 0.0  # worst disagreement of MuJoCo and Pinocchio at load
     has_scene: bool = False
+    _ids: dict[str, int] = field(default_factory=dict, init=False, repr=False)
+    _maps: dict[tuple[str, str], Array | None] = field(default_factory=dict, init=False, repr=False)
+    _axes: dict[str, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.gravity not in ("controller", "robot"):
             raise ModelError(f"gravity: expected 'controller' or 'robot' (who adds it), got {self.gravity!r}")
-        object.__setattr__(self, "_ids", {frame.name: i for i, frame in enumerate(self.model.frames)})
-        object.__setattr__(self, "_maps", {})
-        object.__setattr__(self, "_axes", {})
+        self._ids.update({frame.name: i for i, frame in enumerate(self.model.frames)})
 
     @classmethod
-    def load(cls, robot: str, tool: str | None = None, scene: str | None = None, gravity: str = "controller", name: str = "") -> Robot:
+    def load(
+        cls, robot: str, tool: str | None = None, scene: str | None = None, gravity: str = "controller", name: str = ""
+    ) -> Robot:
         """A robot with its tool, in its scene, from shipped names, paths or `erd:NAME`.
 
         Raises ModelError for files that cannot be used, ModelMismatch when MuJoCo and Pinocchio disagree.
@@ -155,7 +175,8 @@ class Robot:
             q_min=_per_velocity(model, model.lowerPositionLimit, -np.inf),
             q_max=_per_velocity(model, model.upperPositionLimit, np.inf),
             v_max=_stated(model.upperVelocityLimit),
-            keyframes={"home": pin.neutral(model)} | {k.key(): np.array(k.data()) for k in model.referenceConfigurations},
+            keyframes={"home": pin.neutral(model)}
+            | {k.key(): np.array(k.data()) for k in model.referenceConfigurations},
             gravity=gravity,
             damping=damping,
         )
@@ -170,11 +191,11 @@ class Robot:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        return tuple(self._ids)  # type: ignore[attr-defined]
+        return tuple(self._ids)
 
     def frame_id(self, name: str) -> int:
         """Pinocchio's index of a frame. Raises NameNotFound: a missing index would crash Pinocchio later."""
-        index = self._ids.get(name)  # type: ignore[attr-defined]
+        index = self._ids.get(name)
         if index is None:
             raise NameNotFound("frame", name, self.frames)
         return int(index)
@@ -182,7 +203,7 @@ class Robot:
     def wrench_map(self, source: str, target: str) -> Array | None:
         """(6, 6) X with F_target = X F_source for two frames of one link, or None when a joint lies between them."""
         key = (source, target)
-        if key not in self._maps:  # type: ignore[attr-defined]
+        if key not in self._maps:
             a, b = (self.model.frames[self.frame_id(name)] for name in key)
             X = None
             if a.parentJoint == b.parentJoint:
@@ -191,8 +212,8 @@ class Robot:
                 X = np.zeros((6, 6))
                 X[:3, :3] = X[3:, 3:] = R
                 X[:3, 3:] = -R @ pin.skew(p)
-            self._maps[key] = X  # type: ignore[attr-defined]
-        return self._maps[key]  # type: ignore[attr-defined]
+            self._maps[key] = X
+        return self._maps[key]
 
     def state(self, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> State:
         """A `State` with storage of its own."""
@@ -202,7 +223,10 @@ class Robot:
         """World pose of a frame that does not move. Raises NameNotFound, or ModelError when the robot moves it."""
         frame = self.model.frames[self.frame_id(name)]
         if frame.parentJoint != 0:
-            raise ModelError(f"frame {name!r} moves with joint {self.model.names[frame.parentJoint]!r}; expected one fixed to the world")
+            raise ModelError(
+                f"frame {name!r} moves with joint {self.model.names[frame.parentJoint]!r}; "
+                "expected one fixed to the world"
+            )
         return frame.placement.copy()
 
     def inertia_below(self, frame_name: str) -> pin.Inertia:
@@ -228,15 +252,15 @@ class Robot:
         return total
 
     def axes(self, frame_name: str, states: int = 8) -> tuple[int, ...]:
-        """Indices of the body axes (wx .. vz) that the robot can ever move `frame_name` along: all six, or r < 6 of a planar arm."""
-        if frame_name not in self._axes:  # type: ignore[attr-defined]
+        """Indices of the body axes (wx .. vz) that the robot can ever move the frame along: fewer than 6 in a plane."""
+        if frame_name not in self._axes:
             rng = np.random.default_rng(0)
             reach = np.zeros(6)
             for _ in range(states):
                 q = pin.integrate(self.model, self.keyframes["home"], rng.uniform(-1.5, 1.5, self.nv))
                 reach = np.maximum(reach, np.abs(self.state(q, np.zeros(self.nv)).frame(frame_name).J).max(axis=1))
-            self._axes[frame_name] = tuple(int(i) for i in np.flatnonzero(reach > 1e-9))  # type: ignore[attr-defined]
-        return self._axes[frame_name]  # type: ignore[attr-defined,no-any-return]
+            self._axes[frame_name] = tuple(int(i) for i in np.flatnonzero(reach > 1e-9))
+        return self._axes[frame_name]
 
 
 def _position_limits(mj: Any) -> tuple[Array, Array]:

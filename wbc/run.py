@@ -86,12 +86,16 @@ def _loop(
     contacts = sorted({name for phase in built.phases for name in phase.contacts})
     for tick in range(ticks):
         seen = simulator.observe()
-        given = {name: measured for name in controller.phase.contacts} if measured is not None else None
+        given = dict.fromkeys(controller.phase.contacts, measured) if measured is not None else None
         before = time.perf_counter()
         out = controller.step(seen.t, seen.q, seen.v, measured=given)
         took = time.perf_counter() - before
         simulator.apply(out.tau)
-        true = {name: simulator.true_wrench(controller.phase.contacts[name].frame) for name in contacts if name in controller.phase.contacts}
+        true = {
+            name: simulator.true_wrench(controller.phase.contacts[name].frame)
+            for name in contacts
+            if name in controller.phase.contacts
+        }
         measured = simulator.measured(controller.state, out.vdot)
         _record(log, controller, seen, out, took, true)
         if hook is not None:
@@ -102,12 +106,15 @@ def _loop(
             progress(tick + 1)
 
 
-def _record(log: Log, controller: Controller, seen: Observation, out: Output, took: float, true: dict[str, Array]) -> None:
+def _record(
+    log: Log, controller: Controller, seen: Observation, out: Output, took: float, true: dict[str, Array]
+) -> None:
     state, phase, memory = controller.state, controller.phase, controller.memory
     assert memory is not None
     row: dict[str, Any] = {
         "t": seen.t, "q": seen.q, "v": seen.v, "vdot": out.vdot, "tau": memory.tau, "tau_min": phase.torque.low,
-        "tau_max": phase.torque.high, "torque_rate_limit": phase.torque.rate, "status": STATUS_NAMES.index(out.status.name),
+        "tau_max": phase.torque.high, "torque_rate_limit": phase.torque.rate,
+        "status": STATUS_NAMES.index(out.status.name),
         "step_us": took * 1e6, "kkt": max(out.certificate),
     }  # fmt: skip
     for name, wrench in true.items():

@@ -92,7 +92,7 @@ class Simulator:
         return self._sensor.compensated(reading, state, vdot)
 
     def true_wrench(self, frame: str) -> Array:
-        """(6,) what the body that carries `frame` applied to its environment in the last tick, in that frame; true, unfiltered."""
+        """(6,) what the body of `frame` applied to its environment in the last tick, in that frame; unfiltered."""
         site = self.model.site(frame)
         body, R, p = site.bodyid[0], self.data.site_xmat[site.id].reshape(3, 3), self.data.site_xpos[site.id]
         F, force = np.zeros(6), np.zeros(6)

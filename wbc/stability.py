@@ -32,7 +32,7 @@ class Pole(NamedTuple):
 def loop_matrix(
     mass: float, kp: float, ki: float, damping: float, alpha: float, dt: float, stiffness: float | None, delay: int = 1
 ) -> Array:
-    """Transition matrix of the sampled loop; state (x, v, forces of the last `delay` ticks, s, I), rigid without x, v."""
+    """Transition matrix of the sampled loop; state (x, v, forces of the last `delay` ticks, s, I), rigid: no x, v."""
     free = 0 if stiffness is None else 2
     n = free + delay + 2
     A = np.zeros((n, n))
@@ -71,7 +71,15 @@ def radius(
 
 
 def force_poles(
-    contact: str, axes: tuple[str, ...], masses: Array, kp: Array, ki: Array, damping: Array, alpha: float, dt: float, delay: int = 1
+    contact: str,
+    axes: tuple[str, ...],
+    masses: Array,
+    kp: Array,
+    ki: Array,
+    damping: Array,
+    alpha: float,
+    dt: float,
+    delay: int = 1,
 ) -> list[Pole]:
     """Poles of every axis over the range of stiffness and on a rigid wall; gains (k, k) by their diagonal."""
     poles = []

@@ -47,7 +47,8 @@ def computed_torque(frame: Frame, desired: Sample, K: Array) -> Array:
     a0, a1, a2, b0, b1, b2 = V_d.tolist()
     y -= (  # ad_V (Ad V_d)
         w1 * a2 - w2 * a1, w2 * a0 - w0 * a2, w0 * a1 - w1 * a0,
-        v1 * a2 - v2 * a1 + w1 * b2 - w2 * b1, v2 * a0 - v0 * a2 + w2 * b0 - w0 * b2, v0 * a1 - v1 * a0 + w0 * b1 - w1 * b0,
+        v1 * a2 - v2 * a1 + w1 * b2 - w2 * b1, v2 * a0 - v0 * a2 + w2 * b0 - w0 * b2,
+        v0 * a1 - v1 * a0 + w0 * b1 - w1 * b0,
     )  # fmt: skip
     y += K.dot(np.concatenate((pin.log6(X).vector, V_d - frame.V)))
     return y
@@ -91,7 +92,9 @@ class MotionTask:
             return gain_matrix(K, 6, name)
         small = gain_matrix(K, len(self.axes), name)
         if self._S is None and not set(self.axes) <= set(VELOCITY_AXES):
-            raise GainError(f"{name}: a vector or matrix needs axes with names, expected a number for the free motion of screws")
+            raise GainError(
+                f"{name}: a vector or matrix needs axes with names, expected a number for the free motion of screws"
+            )
         S = np.eye(6)[[VELOCITY_AXES.index(a) for a in self.axes]]
         return S.T @ small @ S
 
@@ -102,7 +105,7 @@ class MotionTask:
         y -= frame.drift
         if self.raw:
             return frame.J[self.robot_axes], y[self.robot_axes]
-        S = self._S if self.contact is None else state.contacts[self.contact].free
+        S = self.selection if self.contact is None else state.contacts[self.contact].free
         return S.dot(frame.J), S.dot(y)
 
     def rows(self, state: State) -> Rows:
@@ -144,8 +147,8 @@ class ForceTask:
 
     Parameters: `contact` and its object; `target` t -> lambda_d (k,) [N, N m] or an array; `kp`, `ki` [1/s], `damping`
     [N s/m, N m s/rad] over the contact's axes; `filter`: cutoff of the measured wrench [Hz] or None; `integral_limit`
-    on Ki int e [N, N m]. The error is that of the constrained axes alone, e = lambda_d - (A')^+ F, less what limits took
-    from the command, which is no error (anti-windup; exactly zero while no limit is active). `law="book"`
+    on Ki int e [N, N m]. The error is that of the constrained axes alone, e = lambda_d - (A')^+ F, less what limits
+    took from the command, which is no error (anti-windup; exactly zero while no limit is active). `law="book"`
     projects the whole measured F_e by I - P, and leaves the bias Lam Adot V in the force.
     """
 
@@ -162,12 +165,12 @@ class ForceTask:
         law: str = "compensated",
     ) -> None:
         self.contact, self.law, self._held_by = contact, law, held_by
-        fixed = np.array(target, float) if not callable(target) else None
-        self.target: Callable[[float], Array] = (lambda t: fixed) if fixed is not None else target  # type: ignore[assignment,return-value]
+        self.target = target if callable(target) else _always(np.array(target, float))
         k = held_by.k
         self._book = law == "book"
         self.Kp, self.Ki = (self._gain(K, k, name) for K, name in ((kp, "kp"), (ki, "ki")))
         self.K_damp = gain_matrix(damping, k, "damping")
+        self._K = np.hstack((self.Kp, self.Ki))
         self.filter, self.integral_limit = filter, integral_limit
         self.axes = held_by.axes
 
@@ -176,7 +179,9 @@ class ForceTask:
             return gain_matrix(K, k, name)
         if np.ndim(K) == 0 or len(K) == 6:
             return gain_matrix(K, 6, name)
-        raise GainError(f"{name}: under law: book the gains act on the whole wrench; expected a number or 6 of them, got {len(K)}")
+        raise GainError(
+            f"{name}: under law: book the gains act on the whole wrench; expected a number or 6 of them, got {len(K)}"
+        )
 
     def smoothing(self, dt: float) -> float:
         """alpha of the first-order filter s += alpha (F - s)."""
@@ -219,8 +224,7 @@ class ForceTask:
         held: Held = state.contacts[self.contact]
         command = self.desired(state)
         filtered, integral, yielded, error = self.sense(state, command)
-        feedback = self.Kp.dot(error)
-        feedback += self.Ki.dot(integral)
+        feedback = self._K.dot(np.concatenate((error, integral)))
         G, _, K = state.primary
         k = command.size
         # a motion task on this contact has computed the mobility already: its rows begin with the contact's
@@ -247,6 +251,10 @@ class ForceTask:
         last = lam - loop.command
         negligible = last.dot(last) <= 1e-14 * (1.0 + loop.command.dot(loop.command))
         return ForceLoop(loop.filtered, integral, loop.yielded, None if negligible else last)
+
+
+def _always(value: Array) -> Callable[[float], Array]:
+    return lambda t: value
 
 
 class PostureTask:

@@ -16,7 +16,7 @@ Show = Callable[[Any], None]
 
 @contextmanager
 def window() -> Iterator[Show | None]:
-    """A function that draws a simulator and waits for real time; None, with a line on stderr, where there is no display."""
+    """A function that draws a simulator in real time; None, with a line on stderr, where there is no display."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         print("no display: running without a window (--headless says so on purpose)", file=sys.stderr)
         yield None

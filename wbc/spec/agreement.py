@@ -35,7 +35,8 @@ def _unknown(name: str, spec: Spec, section: str, left_out: LeftOut) -> str | No
     known = [*getattr(spec, section), *(str(path[-1]) for path in left_out if path[0] == section)]
     if name in known or (section,) in left_out:
         return None
-    return f"no {section[:-1]} named {shown(name)}{did_you_mean(name, known)}"
+    hint = did_you_mean(name, filter(None, known)) or f"; expected it under `{section}`, where there is none"
+    return f"no {section[:-1]} named {shown(name)}{hint}"
 
 
 def _of_contacts(spec: Spec, left_out: LeftOut) -> Iterator[Message]:

@@ -16,7 +16,7 @@ from ..errors import Fault, SpecError, did_you_mean
 from ..resources import find_file, shipped_names
 from .agreement import SECTIONS, LeftOut, disagreements
 from .contact import Contact
-from .fields import Model, Name, Pose, Positive, Text, faulty
+from .fields import Model, Name, Number, Pose, Positive, Text, faulty
 from .limit import Expect, Limits, Phase, Plant
 from .reference import Reference
 from .source import MAX_BYTES, Message, NoSuchKey, Source, parse, printable, put
@@ -35,7 +35,7 @@ class Spec(Model):
     robot: Text = Field(description="the name of a shipped robot, a path, or erd:NAME")
     tool: Text | None = Field(default=None, description="the name of a shipped tool, or a path")
     scene: Text | None = Field(default=None, description="the name of a shipped scene, or a path")
-    rate: Positive = Field(default=1000.0, le=10_000, description="control rate [Hz]")
+    rate: Number = Field(default=1000.0, ge=1, le=10_000, description="control rate [Hz]")
     duration: Positive = Field(default=5.0, le=3600, description="duration of a run [s]")
     law: Law = Field(default="compensated", description="compensated, or the book's law to the letter")
     gravity: Gravity = Field(default="controller", description="who adds the torque against gravity")

@@ -69,6 +69,11 @@ def faulty(title: str, messages: Iterable[Message]) -> ValidationError:
     return ValidationError.from_exception_data(title, details)
 
 
+def _spurious(error: ErrorDetails) -> bool:
+    """Entries that are wrong do not count as entries; that they are too few then is no fault of its own."""
+    return error["type"] == "too_short" and len(error["input"]) >= error["ctx"]["min_length"]
+
+
 class Model(BaseModel):
     """Frozen, closed, and with messages for people."""
 
@@ -85,7 +90,7 @@ class Model(BaseModel):
         try:
             model = handler(value)
         except ValidationError as error:
-            details = error.errors(include_url=False)[: MAX_FAULTS + 1]
+            details = [each for each in error.errors(include_url=False) if not _spurious(each)][: MAX_FAULTS + 1]
             raise faulty(cls.__name__, map(cls._explained, details)) from None
         if found := list(islice(model._faults(), MAX_FAULTS + 1)):
             raise faulty(cls.__name__, found)
@@ -198,7 +203,6 @@ NonNegative = Annotated[Number, Field(ge=0)]
 Text = Annotated[str, Field(min_length=1)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Vec2 = Annotated[tuple[Number, Number], named("x, y")]
-Size2 = Annotated[tuple[Positive, Positive], named("x, y")]
 Vec3 = Annotated[tuple[Number, Number, Number], named("x, y, z")]
 
 ANumber = Annotated[Number, Tag("<number>")]
@@ -216,5 +220,5 @@ Gain = Annotated[
     either("a number, a list of numbers or a matrix"),
 ]
 Target = Annotated[ANumber | AName, either("a number or the name of a reference")]
-JointValues = Annotated[dict[Text, Number], Tag("<map>")]
-Pose = Annotated[AName | JointValues, either("the name of a keyframe or a mapping from joints to angles [rad]")]
+JointValues = Annotated[dict[Text, Number], Field(min_length=1), Tag("<map>")]
+Pose = Annotated[AName | JointValues, either("the name of a keyframe or a mapping from joints to angles")]

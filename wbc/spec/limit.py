@@ -31,7 +31,7 @@ OfModel = Annotated[Literal["model"], Tag("<name>")]
 PerJoint = (
     Annotated[Positive, Tag("<number>")]
     | Annotated[tuple[Positive, ...], Field(min_length=1), Tag("<list>")]
-    | Annotated[dict[Text, Positive], Tag("<map>")]
+    | Annotated[dict[Text, Positive], Field(min_length=1), Tag("<map>")]
 )
 OfScale = Annotated[Scale, Tag("<scale>")]
 Limit = Annotated[OfModel | PerJoint | OfScale, either("model, a number, a list, or a mapping", _limit)]
@@ -78,7 +78,7 @@ class Plant(Model):
     joint_friction: NonNegative = Field(default=0.0, description="Coulomb friction of every joint [N m]")
     contact_friction: NonNegative = Field(default=0.0, description="friction coefficient of the contacts [1]")
     armature: NonNegative | None = Field(default=None, description="rotor inertia; else the model's [kg m^2]")
-    delay: Annotated[int, Strict()] = Field(default=0, ge=0, le=1000, description="extra delay of the torque [ticks]")
+    delay: Annotated[int, Strict()] = Field(default=0, ge=0, le=100, description="extra delay of the torque [ticks]")
     noise: Noise = Field(default_factory=Noise, description="measurement noise, standard deviations")
 
 

@@ -7,9 +7,11 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from .fields import Model, NonNegative, Number, OneOf, Positive, Size2, Text, Vec2, Vec3, named
+from .fields import Model, NonNegative, Number, OneOf, Positive, Text, Vec2, Vec3, named
 from .source import Message
 
+Sizes = Annotated[tuple[Positive, ...], Field(min_length=1, max_length=2), named("x", "x, y")]
+Phases = Annotated[tuple[Number, ...], Field(min_length=1, max_length=2), named("x", "x, y")]
 Waypoint = Annotated[tuple[Number, ...], Field(min_length=3, max_length=6), named("x, y, z", "x, y, z, rx, ry, rz")]
 
 
@@ -39,12 +41,24 @@ class Circle(Curve):
 
 
 class Lissajous(Curve):
-    """Two sines, along x and y of the frame."""
+    """Sines along x and y of the frame, or along x alone."""
 
-    size: Size2 = Field(description="amplitudes along x and y [m]")
-    period: Size2 = Field(description="periods along x and y [s]")
-    phase: Vec2 = Field(default=(0.0, 0.0), description="phases along x and y [rad]")
+    size: Sizes = Field(description="from end to end, along x and y [m]")
+    period: Sizes = Field(description="periods along x and y [s]")
+    phase: Phases | None = Field(default=None, description="phases along x and y [rad]; 0 when left out")
     ease: NonNegative = Field(default=1.0, description="time in which the path gets up to speed from rest [s]")
+
+    @property
+    def phases(self) -> tuple[float, ...]:
+        return self.phase or (0.0,) * len(self.size)
+
+    def _faults(self) -> Iterable[Message]:
+        n = max(len(self.size), len(self.period))
+        for key in ("size", "period", "phase"):
+            value = getattr(self, key)
+            if value is not None and len(value) != n:
+                expected = ("1 number (x)", "2 numbers (x, y)")[n - 1]
+                yield (key,), f"expected {expected}, got {len(value)}; size, period and phase are equally long"
 
 
 class Quintic(Curve):

@@ -6,6 +6,7 @@ tags. The tree is built from parser events, so that size, depth and count are re
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -24,6 +25,7 @@ MAX_BYTES = 256 * 1024
 MAX_DEPTH = 32
 MAX_VALUES = 10_000
 MAX_FAULTS = 100
+TINY, HUGE = 1e-30, 1e30  # of numbers: a few multiplied stay finite
 
 # libyaml is some twenty times faster; what it and the Python parser read differently is checked here, before and after
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -182,7 +184,7 @@ class _Reader:
     def _value(self, event: Any, path: KeyPath) -> Any:
         self._enter(event, path)
         if isinstance(event, yaml.ScalarEvent):
-            return scalar(event.value) if event.implicit[0] and not event.style else event.value
+            return self._scalar(event, path)
         if isinstance(event, yaml.AliasEvent):
             return None
         if len(path) >= MAX_DEPTH:
@@ -196,6 +198,12 @@ class _Reader:
             key = self._key(each, path, lines)
             tree.setdefault(key, self._value(next(self.events), (*path, key)))  # of a key given twice the first stays
         return tree
+
+    def _scalar(self, event: yaml.ScalarEvent, path: KeyPath) -> Any:
+        value = scalar(event.value) if event.implicit[0] and not event.style else event.value
+        if isinstance(value, float) and value and math.isfinite(value) and not TINY <= abs(value) <= HUGE:
+            self._report(event, path, f"expected 0 or a size from {TINY:g} to {HUGE:g}, got {value:g}")
+        return value
 
     def _key(self, event: Any, path: KeyPath, lines: dict[str, int]) -> str:
         if not isinstance(event, yaml.ScalarEvent):
