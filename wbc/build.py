@@ -20,7 +20,7 @@ from .closing import CLOSED, Goal, close
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, WorldAxesContact
 from .controller import Controller, Phase
 from .dynamics import mobility
-from .errors import Fault, GainError, ModelError, SpecError, WbcError, did_you_mean
+from .errors import Fault, GainError, ModelError, ModelMismatch, SpecError, WbcError, did_you_mean
 from .limit import JointLimit, TorqueLimit, make_limits
 from .metrics import vocabulary
 from .model import find
@@ -126,10 +126,13 @@ class _Builder:
                     files[key] = self._file(kind, name)
         self.raise_faults()
         try:
-            return Robot.load(files["robot"], files.get("tool"), files.get("scene"), spec.gravity, name=spec.robot)
+            robot = Robot.load(files["robot"], files.get("tool"), files.get("scene"), spec.gravity, name=spec.robot)
         except ModelError as error:
-            blamed = [key for key, file in files.items() if str(error).startswith(f"{file}: ")]
-            self.fault((*blamed, "robot")[:1], str(error))
+            self.fault((_blamed(files),), _told(error))
+        else:
+            if robot.nv:
+                return robot
+            self.fault(("robot",), "it has no joint; expected a robot that can move")
         raise SpecError(self.faults)
 
     def _file(self, kind: str, name: str) -> str:
@@ -146,7 +149,7 @@ class _Builder:
             if reference.curve.in_ != "world":
                 self._check_frame(reference.curve.in_, ("references", name, reference.kind, "in"), fixed=True)
         for name, contact in spec.contacts.items():
-            self._check_frame(contact.frame, ("contacts", name, "frame"))
+            self._check_frame(contact.frame, ("contacts", name, "frame"), moves=True)
             if contact.on is not None:
                 self._check_frame(contact.on, ("contacts", name, "on"), fixed=True)
             for screw, motion in (contact.free or {}).items():
@@ -154,7 +157,7 @@ class _Builder:
                     self._check_frame(motion.screw.through, ("contacts", name, "free", screw, "screw", "through"), True)
         for name, task in spec.tasks.items():
             if isinstance(task, specs.MotionTask) and task.frame is not None:
-                self._check_frame(task.frame, ("tasks", name, "frame"))
+                self._check_frame(task.frame, ("tasks", name, "frame"), moves=True)
             if isinstance(task, specs.PostureTask):
                 self._check_pose(task.target, ("tasks", name, "target"), "start")
         if spec.start is not None:
@@ -166,16 +169,22 @@ class _Builder:
             elif isinstance(value, tuple) and len(value) != self.robot.nv:
                 self.fault(("limits", limit), f"expected {self.robot.nv} numbers, one a joint, got {len(value)}")
 
-    def _check_frame(self, name: str, path: Place, fixed: bool = False) -> None:
+    def _check_frame(self, name: str, path: Place, fixed: bool = False, moves: bool = False) -> None:
         """Frames are named by the robot, its tool and the scene; those that are left out may be what is wrong."""
         if name not in self.robot.frames:
             known = [frame for frame in self.robot.frames if frame != "universe"]
             without = [key for key in ("tool", "scene") if getattr(self.spec, key) is None]
             hint = f" (the spec names no {' and no '.join(without)})" if without else ""
             self.fault(path, f"no frame named {name!r}{did_you_mean(name, known)}{hint}")
-        elif fixed:
+            return
+        frame = self.robot.model.frames[self.robot.frame_id(name)]
+        if fixed:
             with self.at(*path):
                 self.robot.fixed_pose(name)
+        elif moves and not frame.parentJoint:
+            self.fault(path, f"frame {name!r} is fixed to the world; expected one of the robot or its tool")
+        elif path[0] == "contacts" and frame.type == pin.FrameType.JOINT:
+            self.fault(path, f"frame {name!r} is that of a joint; expected a body or a site")
 
     def _check_pose(self, pose: str | Mapping[str, float], path: Place, *more: str) -> None:
         known = [*self.robot.keyframes, *more]
@@ -335,14 +344,18 @@ class _Builder:
         known = _components(reference)
         if axis not in known:
             gives = ", ".join(VELOCITY_AXES[i] for i in known)
-            message = f"reference {name!r} does not move along {VELOCITY_AXES[axis]}; a {reference.kind} gives {gives}"
-            self.fault(path, message)
+            message = f"reference {name!r} does not move along {VELOCITY_AXES[axis]}"
+            self.fault(path, f"{message}; expected a number, for a {reference.kind} gives {gives} only")
         return known.get(axis, constant(0.0))
+
+    @staticmethod
+    def _stays(reference: specs.Reference) -> bool:
+        return reference.kind == "hold" and reference.curve.in_ == "world"
 
     def _path(self, reference: specs.Reference, name: str, here: pin.SE3) -> Reference:
         in_ = reference.curve.in_
         self.followed.setdefault(name, set())
-        if reference.kind == "hold" and in_ == "world":
+        if self._stays(reference):
             return hold(here)
         origin = pin.SE3.Identity() if in_ == "world" else self.robot.fixed_pose(in_)
         turns = any(i < 3 for i in _components(reference))
@@ -351,18 +364,17 @@ class _Builder:
         return Path(origin, _components(reference), offset)
 
     def _close(self, q: Array, contacts: dict[str, Contact], references: dict[str, Reference]) -> Array:
-        """Move the start pose onto the contacts and references."""
+        """Move the start pose onto the contacts and references; what is to stay where it starts asks for nothing."""
         robot, spec = self.robot, self.spec
         goals, paths = [], {}
         for name, task in spec.tasks.items():
-            if isinstance(task, specs.MotionTask):
-                if task.contact is not None:
-                    paths[task.contact] = references[name]
-                elif task.frame is not None:
-                    rows = np.eye(6)[
-                        [i for i, axis in enumerate(VELOCITY_AXES) if task.axes == "all" or axis in task.axes]
-                    ]
-                    goals.append(Goal(task.frame, references[name](0.0).T, rows, ("tasks", name, "target")))
+            if not isinstance(task, specs.MotionTask):
+                continue
+            if task.contact is not None:
+                paths[task.contact] = references[name]
+            elif task.frame is not None and not self._stays(spec.references[task.target or ""]):
+                rows = np.eye(6)[[i for i, a in enumerate(VELOCITY_AXES) if task.axes == "all" or a in task.axes]]
+                goals.append(Goal(task.frame, references[name](0.0).T, rows, ("tasks", name, "target")))
         for name, contact in contacts.items():
             T, on = self._on(name, spec.contacts[name], q)
             if on is not None:
@@ -555,6 +567,27 @@ class _Builder:
         for i in np.flatnonzero(given > model):
             message = f"{given[i]:g} is above the {model[i]:g} {unit} of {self.robot.joints[i]}{tail}"
             self.fault(("limits", name, self.robot.joints[i]), message)
+
+
+def _blamed(files: Mapping[str, str]) -> str:
+    """The first of robot, tool and scene with which they can no longer be put together."""
+    given: dict[str, str] = {}
+    for key in ("robot", "tool", "scene"):
+        if key in files:
+            given[key] = files[key]
+            try:
+                Robot.load(**given)
+            except ModelError:
+                return key
+    return "robot"
+
+
+def _told(error: ModelError) -> str:
+    """MuJoCo's complaints have line breaks, and do not say what they expected."""
+    message = " ".join(str(error).split())
+    if isinstance(error, ModelMismatch) or "flange" in message:
+        return message
+    return f"{message}; expected MJCF or URDF that MuJoCo accepts"
 
 
 def against(pole: Pole) -> str:

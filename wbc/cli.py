@@ -129,6 +129,8 @@ def compare(specs: tuple[str, ...], solvers: str, overrides: tuple[str, ...], as
         from .solver import installed
 
         chosen = installed() if solvers == "all" else [name.strip() for name in solvers.split(",") if name.strip()]
+        if not chosen:
+            raise WbcError(f"--solvers {solvers!r} names none; expected `all` or some of {', '.join(installed())}")
         recorded = []
         for name in names:
             loaded = _load(name, overrides)

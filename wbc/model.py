@@ -22,6 +22,10 @@ from .errors import ModelError, ModelMismatch, did_you_mean
 from .qp import Array
 from .resources import shipped, shipped_names
 
+_FINITE = (
+    "body_mass", "body_inertia", "body_pos", "body_ipos", "jnt_axis", "jnt_pos", "jnt_range", "dof_armature",
+    "dof_damping", "dof_frictionloss", "actuator_gear", "actuator_ctrlrange", "actuator_forcerange",
+)  # fmt: skip
 AGREEMENT = 1e-8  # worst relative error of M, h, g, J, drift and pose at random states
 
 
@@ -92,6 +96,7 @@ def _quietly() -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Attaching a spec with an empty prefix")
+            warnings.filterwarnings("ignore", message="Attach conflict when attaching")  # the scene's options hold
             yield
     finally:
         mujoco.set_mju_user_warning(before)
@@ -105,7 +110,7 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"MuJoCo refuses the model: {error}") from error
-    for name in ("body_mass", "body_inertia", "body_pos", "body_ipos", "jnt_axis", "jnt_pos", "dof_armature"):
+    for name in _FINITE:
         if not np.isfinite(getattr(model, name)).all():
             raise ModelError(f"the model holds a number that is not finite, in {name}")
     return model

@@ -54,7 +54,7 @@ def sine(amplitude: float, period: float, phase: float = 0.0, centre: float = 0.
     omega = 2 * math.pi / period
 
     def sample(t: float) -> tuple[float, float, float]:
-        tau, rate, bend = _ease(t, ease)
+        tau, rate, bend = (t - ease / 2, 1.0, 0.0) if t >= ease else _ease(t, ease)
         angle = omega * tau + phase
         s, c = amplitude * math.sin(angle), amplitude * omega * math.cos(angle)
         return centre + s, c * rate, -omega * omega * s * rate * rate + c * bend
@@ -103,13 +103,13 @@ class Path:
     def __init__(self, origin: pin.SE3, along: Mapping[int, Scalar], offset: pin.SE3 | None = None) -> None:
         self.origin, self.along = origin.copy(), dict(along)
         self.offset = offset
-        self._R, self._p = origin.rotation.copy(), origin.translation.copy()
+        self._R, self._place = origin.rotation.copy(), origin.homogeneous[:3].copy()
         self._turns = [(i, self.along[i]) for i in _ROTATIONS if i in self.along]
         self._x, self._y, self._z = (self.along.get(i, constant(0.0)) for i in (3, 4, 5))
 
     def __call__(self, t: float) -> Sample:
         (x, vx, ax), (y, vy, ay), (z, vz, az) = self._x(t), self._y(t), self._z(t)
-        R, p = self._R, self._R.dot(np.array([x, y, z])) + self._p
+        R, p = self._R, self._place.dot(np.array([x, y, z, 1.0]))
         motion = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, vx, ax, vy, ay, vz, az]).reshape(6, 2)
         for axis, turn in self._turns:
             s, rate, bend = turn(t)

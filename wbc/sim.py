@@ -93,8 +93,12 @@ class Simulator:
 
     def true_wrench(self, frame: str) -> Array:
         """(6,) what the body of `frame` applied to its environment in the last tick, in that frame; unfiltered."""
-        site = self.model.site(frame)
-        body, R, p = site.bodyid[0], self.data.site_xmat[site.id].reshape(3, 3), self.data.site_xpos[site.id]
+        if _has_site(self.model, frame):
+            site = self.model.site(frame)
+            body, R, p = site.bodyid[0], self.data.site_xmat[site.id].reshape(3, 3), self.data.site_xpos[site.id]
+        else:
+            body = self.model.body(frame).id
+            R, p = self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
         F, force = np.zeros(6), np.zeros(6)
         for i in range(self.data.ncon):
             contact = self.data.contact[i]

@@ -72,12 +72,12 @@ def _of_task(task: ForceTask | MotionTask, spec: Spec, left_out: LeftOut) -> Ite
     if contact := spec.contacts.get(task.contact or ""):
         axes = contact.gain_names(task.type)
         if not (contact.wrench_targets if task.type == "force" else contact.motion_targets):
-            yield "contact", f"contact {task.contact!r} has no {task.type} target in its `artificial`"
+            yield "contact", f"contact {task.contact!r} has no {task.type} target in its `artificial`; expected one"
     elif isinstance(task, MotionTask) and task.contact is None and task.axes != "all":
         axes = task.axes
     for key in ("kp", "ki", "damping") if isinstance(task, ForceTask) else ("kp", "kd"):
         gain = getattr(task, key)
-        if axes is not None and isinstance(gain, tuple) and len(gain) != len(axes):
+        if axes and isinstance(gain, tuple) and len(gain) != len(axes):
             expected = "numbers" if isinstance(gain[0], float) else "rows"
             yield key, f"expected {len(axes)} {expected} ({', '.join(axes)}), got {len(gain)}"
 

@@ -90,7 +90,8 @@ def put(
     elif isinstance(tree, Mapping):
         copy, inner = dict(tree), tree.get(key, {})
         if key not in copy and path[1:] and here not in new:
-            raise NoSuchKey(here, f"no such key{did_you_mean(str(key), map(str, copy))}")
+            hint = did_you_mean(str(key), map(str, copy)) or "; expected one that is there to be changed"
+            raise NoSuchKey(here, f"no such key{hint}")
     else:
         raise NoSuchKey(above, f"is {printable(repr(tree))}, which has no keys of its own")
     copy[key], done = put(inner, path[1:], value, new, (*above, key))
