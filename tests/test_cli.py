@@ -273,6 +273,7 @@ def test_brackets_are_text(tmp_path: Path) -> None:
         (("run", "eraser", "--set", "expect.board.fz.rms_error=9"), "bounds cannot be changed from the command line"),
         (("run", "eraser", "--set", "expect={}"), "bounds cannot be changed from the command line"),
         (("check", "eraser", "--set", "tasks.pres.kp=1"), "no such key; did you mean 'press'?"),
+        (("check", "eraser", "--set", "tasks.press.kp=1e-300"), "expected 0 or a size from 1e-30 to 1e+30, got 1e-300"),
         (("check", "eraser", "--set", "tasks.press.kp=3"), "expected below 1; lower kp"),
         (("check", "eraser", "--set", "robot=pandda"), "no robot named 'pandda'; did you mean 'panda'?"),
     ],

@@ -79,6 +79,7 @@ class JointLimit:
         self._back = -np.minimum(0.1 * self.a, self._v_max)  # [rad/s] the way back from beyond the edge
         self._soft = 0.5 * SETTLE * self.j  # [rad/s^2] c
         self._soft2 = self._soft * self._soft
+        self._top, self._slow = self._soft2 + self.j * self._v_max, self.j[:, None] * self._sides
         self._clear = self._edge - self._asks_from()
 
     def _asks_from(self) -> Array:
@@ -120,13 +121,16 @@ class JointLimit:
     def rows(self, q: Array, v: Array, dt: float) -> Rows:
         """Bounds on vdot [rad/s^2] under which the next state is viable."""
         n = self.n
-        speed = self._sides.dot(v)
         ahead = self._sides.dot(q + dt * v)
+        if min((self._clear - ahead).tolist()) > 0.0:  # only velocity asks: m(v_max - v)
+            under_root = self._top - self._slow.dot(v)
+            if min(under_root.tolist()) > 0.0:
+                most = np.sqrt(under_root)
+                most -= self._soft
+                if min(most.tolist()) >= 0.0:
+                    return Rows("joint", {"vdot": None}, -most[n:], most[:n])
+        speed = self._sides.dot(v)
         spare = self._v_max - speed
-        if min((self._clear - ahead).tolist()) > 0.0 and min(spare.tolist()) >= 0.0:
-            most = np.sqrt(self._soft2 + self.j * spare)
-            most -= self._soft
-            return Rows("joint", {"vdot": None}, -most[n:], most[:n])
         w, slope = self._curve(self._edge - ahead)
         most = np.minimum(self._closing(spare), self._closing(w - speed) - slope * speed)
         most = np.maximum(most, -self.a)  # from beyond a limit the model brakes with no more than it has

@@ -268,12 +268,13 @@ class PostureTask:
         self.q = np.array(q, float)
         n = robot_nv or self.q.size
         self.Kp, self.Kd = gain_matrix(kp, n, "kp"), gain_matrix(kd, n, "kd")
+        self._K = np.hstack((self.Kp, -self.Kd))
 
     def acceleration(self, state: State) -> Array:
         """(nv,) vdot_p [rad/s^2]."""
         model = state.robot.model
         error = self.q - state.q if model.nq == model.nv else pin.difference(model, state.q, self.q)
-        return self.Kp.dot(error) - self.Kd.dot(state.v)
+        return self._K.dot(np.concatenate((error, state.v)))
 
     def rows(self, state: State) -> Rows:
         G, W, _ = state.primary
