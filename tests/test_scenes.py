@@ -269,7 +269,7 @@ def test_arm_reaches_12_cm_to_both_sides_of_the_centre(name):
             mujoco.mj_jacSite(model, data, J[3:], J[:3], site)
             R = data.site("eraser").xmat.reshape(3, 3)
             error[:3] = -0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-            error[3:] = data.site("board").xpos + [*goal, 0] - data.site("eraser").xpos
+            error[3:] = data.site("board").xpos + np.array([*goal, 0]) - data.site("eraser").xpos
             data.qpos += np.linalg.pinv(J, rcond=1e-9) @ error
         assert np.abs(error).max() < 1e-9
         assert np.all((data.qpos > model.jnt_range[:, 0]) & (data.qpos < model.jnt_range[:, 1]))

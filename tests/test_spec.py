@@ -403,6 +403,20 @@ WRONG: dict[str, tuple[object, int, int, str, str]] = {
         "phases.a.until",
         "only the last phase",
     ),
+    "end of the only phase": (
+        [("expect:", "phases: {a: {until: {time: 1}}}\nexpect:")],
+        20,
+        14,
+        "phases.a.until",
+        "the last phase runs to the end; remove until, or add a phase after it",
+    ),
+    "end of the last phase": (
+        [("expect:", "phases: {a: {until: {time: 1}}, b: {until: {time: 2}}}\nexpect:")],
+        20,
+        37,
+        "phases.b.until",
+        "the last phase runs to the end",
+    ),
     "phase sets nothing known": (
         [("expect:", "phases: {a: {set: {tasks.pres.kp: 1}}}\nexpect:")],
         20,
@@ -454,6 +468,11 @@ def test_all_faults_are_told_at_once_and_in_order(tmp_path: Path) -> None:
 def test_a_faulty_entry_does_not_make_others_look_wrong(tmp_path: Path) -> None:
     text = edited(("frame: eraser", "frame: 5"), ("expect:", "phases: {a: {set: {tasks.draw.kp: 1}}}\nexpect:"))
     assert [fault[2] for fault in faults(tmp_path, text)] == ["contacts.board.frame"]
+
+
+def test_a_faulty_last_phase_does_not_make_the_one_before_look_last(tmp_path: Path) -> None:
+    text = edited(("expect:", "phases: {a: {until: {time: 1}}, b: {set: 5}}\nexpect:"))
+    assert [fault[2] for fault in faults(tmp_path, text)] == ["phases.b.set"]
 
 
 def test_thousands_of_faults_are_cut(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from .wrench import Wrench
 
 __all__ = ["Controller", "Memory", "Output", "Phase", "Status"]
 
+_FLOAT64 = np.dtype(np.float64)
 _NEW_LOOP = ForceLoop()
 _NONE: Mapping[str, Any] = {}  # never written to
 HOLD_TICKS = 5  # ticks without a certified answer before the safe hold
@@ -359,7 +360,7 @@ class Controller:
 
 def _fault(name: str, value: Any, size: int) -> str:
     """Why an array from outside is refused, or ""."""
-    if type(value) is not np.ndarray or value.dtype != np.float64 or value.shape != (size,):
+    if type(value) is not np.ndarray or value.dtype is not _FLOAT64 or value.shape != (size,):
         got = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
         return f"{name}: expected a float64 array of shape ({size},), got {got}"
     # a sum of squares is finite only where every entry is

@@ -9,7 +9,7 @@ import platform
 import sys
 from typing import Any
 
-PACKAGES = ("numpy", "scipy", "pin", "proxsuite", "qpsolvers", "daqp", "mujoco", "pydantic", "pyyaml", "matplotlib")
+PACKAGES = ("numpy", "pin", "proxsuite", "qpsolvers", "daqp", "mujoco", "pydantic", "pyyaml", "matplotlib")
 
 
 def examine() -> dict[str, Any]:

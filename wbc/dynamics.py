@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from eigenpy import LLT, ComputationInfo
 
 from .qp import Array, Rows
 from .robot import State
@@ -52,11 +52,9 @@ def inertia(mobility_of_rows: Array) -> Array:
     m = mobility_of_rows.shape[0]
     if m == 0:
         return mobility_of_rows
-    factor, inverse, info = dposv(mobility_of_rows, _identity(m), lower=1)
-    if info == 0:
-        pivots = factor.diagonal().tolist()
-        if min(pivots) > 1e-7 * max(pivots):
-            return inverse
+    factor = LLT(mobility_of_rows)
+    if factor.info() == ComputationInfo.Success and factor.rcond() > 1e-14:
+        return factor.solve(_identity(m))
     # dependent rows (redundant contacts, a singular pose): invert what can move
     values, vectors = np.linalg.eigh(mobility_of_rows)
     keep = values > 1e-10 * values.max()

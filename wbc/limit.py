@@ -176,7 +176,7 @@ def _fair(inertia: Array, effort: Array) -> Array:
 
 
 def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, JointLimit | None]:
-    """Limits from `torque`, `torque_rate`, `position`, `velocity`: "model", a number or (nv,) within it, or None for none."""
+    """Limits from `torque`, `torque_rate`, `position`, `velocity`: "model", a number or (nv,) within it, or None."""
     n = robot.nv
 
     def value(name: str, model: Array) -> Array:

@@ -70,7 +70,7 @@ def compose(
     for key in list(arm.keys):
         arm.delete(key)
     _torque_motors(arm)
-    with _quietly():
+    with _composing():
         if tool:
             if arm.site("flange") is None:
                 raise ModelError(f"robot {str(robot)!r} has no site 'flange' to carry the tool {tool!r}")
@@ -86,27 +86,30 @@ def compose(
 
 
 @contextmanager
-def _quietly() -> Iterator[None]:
-    """MuJoCo warns that a composition without prefixes may not survive saving as XML; it is compiled, never saved.
-
-    Left to its default handler the warning would go to a file in the working folder.
-    """
+def quietly() -> Iterator[None]:
+    """Without MuJoCo's warnings, which its default handler would write to a file in the working folder."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)
     try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Attaching a spec with an empty prefix")
-            warnings.filterwarnings("ignore", message="Attach conflict when attaching")  # the scene's options hold
-            yield
+        yield
     finally:
         mujoco.set_mju_user_warning(before)
+
+
+@contextmanager
+def _composing() -> Iterator[None]:
+    """MuJoCo warns that a composition without prefixes may not survive saving as XML; it is compiled, never saved."""
+    with quietly(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Attaching a spec with an empty prefix")
+        warnings.filterwarnings("ignore", message="Attach conflict when attaching")  # the scene's options hold
+        yield
 
 
 def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Compile; MuJoCo's complaint becomes a ModelError. A simulator that goes on after a NaN is not wanted."""
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     try:
-        with _quietly():
+        with _composing():
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"MuJoCo refuses the model: {error}") from error
@@ -118,7 +121,7 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 def _read(path: Path) -> mujoco.MjSpec:
     try:
-        with _quietly():
+        with _composing():
             return _read_urdf(path) if path.suffix == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, RuntimeError, OSError, ET.ParseError) as error:
         raise ModelError(f"{path}: {error}") from error

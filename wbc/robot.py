@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dposv, dpotrs
+from eigenpy import LLT
 
 from . import model as models
 from .errors import ModelError, NameNotFound
@@ -65,7 +65,7 @@ class State:
         self.loops: dict[str, Any] = {}
         self.primary: tuple[Array, Array, Array] = _NO_ROWS
         self._frames: dict[str, Frame] = {}
-        self._L: Array | None = None
+        self._L: Any = None
 
     def frame(self, name: str) -> Frame:
         """The frame of that name. Raises NameNotFound."""
@@ -88,9 +88,8 @@ class State:
     def solve_M(self, B: Array) -> Array:
         """M^-1 B by Cholesky, factored once a tick."""
         if self._L is None:
-            self._L, X, _ = dposv(self.M, B, lower=1)
-            return X
-        return dpotrs(self._L, B, lower=1)[0]
+            self._L = LLT(self.M)
+        return self._L.solve(B)
 
     def gravity(self) -> Array:
         """(nv,) g(q) [N m]."""

@@ -19,6 +19,7 @@ from .controller import Controller, Output, Status
 from .errors import SimulationError
 from .log import Log
 from .metrics import metrics
+from .model import quietly
 from .qp import Array
 from .sim import Observation, Simulator
 from .task import ForceTask, MotionTask
@@ -71,7 +72,8 @@ def run(
     gc.collect()
     gc.freeze()  # what is built stays: the collector need not look at it every tick
     try:
-        _loop(built, simulator, log, ticks, progress, hook, show)
+        with quietly():  # what MuJoCo warns of ends the run, with the warning in the error
+            _loop(built, simulator, log, ticks, progress, hook, show)
     except SimulationError as error:
         broken = str(error)
     finally:

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from .errors import ModelError, SimulationError
-from .model import to_pinocchio
+from .model import quietly, to_pinocchio
 from .qp import Array
 from .robot import Robot, State
 from .wrench import ForceSensor, Wrench
@@ -75,8 +75,12 @@ class Simulator:
             mujoco.mj_step2(self.model, self.data)
         grown = [w for w in range(len(self.data.warning)) if self.data.warning[w].number]
         if grown or not np.isfinite(self.data.qacc).all():
-            name = mujoco.mjtWarning(grown[0]).name if grown else "an acceleration that is not finite"
-            raise SimulationError(f"the simulation broke down at t = {self.data.time:.3f} s ({name})", self.data.time)
+            why = self._warning(grown[0]) if grown else "an acceleration that is not finite"
+            raise SimulationError(f"the simulation broke down at t = {self.data.time:.3f} s ({why})", self.data.time)
+
+    def _warning(self, kind: int) -> str:
+        text = mujoco.mju_warningText(kind, self.data.warning[kind].lastinfo)
+        return f"{mujoco.mjtWarning(kind).name}: {text.rstrip('.')}"
 
     def measured(self, state: State, vdot: Array) -> Wrench | None:
         """The wrist sensor's wrench of the last tick, tool compensated; None without a sensor.
@@ -142,7 +146,8 @@ def _changed(robot: Robot, plant: Any) -> mujoco.MjModel:
         touching = (model.geom_contype | model.geom_conaffinity) > 0
         model.geom_friction[touching, 0] = plant.contact_friction
         model.geom_condim[touching] = 3
-    mujoco.mj_setConst(model, mujoco.MjData(model))
+    with quietly():
+        mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 
 

@@ -1,4 +1,4 @@
-"""The certificate of a spec: its quadratic program beside the closed form of the book, tick by tick and at random states.
+"""The certificate of a spec: its quadratic program beside the book's closed form, tick by tick and at random states.
 
 The closed form comes from `wbc.analytic` and shares with the controller only its inputs: gains, references, measured
 wrench, and the memory of filter and integral. It is evaluated with M, h, J of Pinocchio, and once more with those that
@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -30,7 +31,8 @@ from .spec import Spec
 from .task import ForceLoop, ForceTask, MotionTask, PostureTask
 from .wrench import Wrench
 
-LAWS = ("compensated", "book")
+Law = Literal["compensated", "book"]
+LAWS: tuple[Law, ...] = ("compensated", "book")
 STATES, KEPT = 1000, 700
 MAX_COND, MAX_COND_AJ = 1e5, 30.0
 
@@ -81,7 +83,8 @@ class Certificate:
         laws = {law: vars(worst) for law, worst in self.laws.items()}
         return {
             "spec": self.spec, "ok": self.ok, "states": self.states, "dropped": self.dropped, "lifted": self.lifted,
-            "ticks": self.ticks, "tolerance": self.tolerance, "max_tau_error_mujoco": self.max_tau_error_mujoco, "laws": laws,
+            "ticks": self.ticks, "tolerance": self.tolerance, "max_tau_error_mujoco": self.max_tau_error_mujoco,
+            "laws": laws,
         }  # fmt: skip
 
 
@@ -91,7 +94,11 @@ def tolerance(solver: str | Solver) -> float:
 
 
 def verify(
-    spec: Spec, solver: str | Solver | None = None, states: int = STATES, seed: int = 0, progress: Callable[[int], None] | None = None
+    spec: Spec,
+    solver: str | Solver | None = None,
+    states: int = STATES,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
 ) -> Certificate:
     """Both laws of a spec against the closed form, at every tick of its run and at `states` random states.
 
@@ -101,14 +108,19 @@ def verify(
     certificate = Certificate(spec.file.rsplit("/", 1)[-1].removesuffix(".yaml"), tolerance(solver))
     for i, law in enumerate(LAWS):
         built = build(spec.model_copy(update={"law": law}), solver=solver)
-        Oracle(built, law, certificate, solver).run(states, seed, count=law == LAWS[0], progress=progress and (lambda n, i=i: progress(n + i * 1000)))
+        told = None if progress is None else partial(_after, progress, 1000 * i)
+        Oracle(built, law, certificate, solver).run(states, seed, count=law == LAWS[0], progress=told)
     return certificate
+
+
+def _after(progress: Callable[[int], None], before: int, ticks: int) -> None:
+    progress(before + ticks)
 
 
 class Oracle:
     """One law of one built spec, beside the same controller with every limit lifted."""
 
-    def __init__(self, built: Built, law: str, certificate: Certificate, solver: str | Solver) -> None:
+    def __init__(self, built: Built, law: Law, certificate: Certificate, solver: str | Solver) -> None:
         self.built, self.law, self.certificate, self.worst = built, law, certificate, certificate.laws[law]
         phases = [_unlimited(phase) for phase in built.phases]
         self.free = Controller(built.robot, solver=solver, rate=built.spec.rate, phases=phases, q=built.q)
@@ -123,7 +135,9 @@ class Oracle:
             memory, before[0] = before[0], controller.memory
             if memory is None:
                 memory = Memory(tau=np.zeros(self.built.robot.nv))
-            given = {name: Wrench(F, controller.phase.contacts[name].frame) for name, F in controller.state.measured.items()}
+            given = {
+                name: Wrench(F, controller.phase.contacts[name].frame) for name, F in controller.state.measured.items()
+            }
             t = seen.t
             if out.active or out.status.name != "OK":
                 certificate.lifted += count
@@ -148,7 +162,7 @@ class Oracle:
             q, v = rng.uniform(low, high), rng.uniform(-1.0, 1.0, robot.nv)
             t = float(rng.uniform(0.0, self.built.spec.duration))
             loops, given = {}, {}
-            for name, task in _force_tasks(phase).items():
+            for name in _force_tasks(phase):
                 size = 6 if self.law == "book" else phase.contacts[name].k
                 scale = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
                 loops[name] = ForceLoop(scale * rng.normal(size=6), rng.normal(size=size))
@@ -176,8 +190,20 @@ class Oracle:
 
     # --- the closed form ---
 
-    def _compare(self, phase: Phase, t: float, q: Array, v: Array, memory: Memory, given: dict[str, Wrench], out: Any, random: bool) -> None:
-        state = self.built.robot.state(q, v, t, self.free.dt if memory.t is None or random else self.built.controller.state.dt)
+    def _compare(
+        self,
+        phase: Phase,
+        t: float,
+        q: Array,
+        v: Array,
+        memory: Memory,
+        given: dict[str, Wrench],
+        out: Any,
+        random: bool,
+    ) -> None:
+        state = self.built.robot.state(
+            q, v, t, self.free.dt if memory.t is None or random else self.built.controller.state.dt
+        )
         sources = [("pinocchio", lambda name: _pinocchio(state, name))]
         if self._mj is not None:
             sources.append(("mujoco", self._mujoco(q, v)))
@@ -221,7 +247,13 @@ class Oracle:
 
 
 def closed_form(
-    robot: Robot, phase: Phase, law: str, state: State, dynamics: Callable[[str], Dynamics], memory: Memory, given: dict[str, Wrench]
+    robot: Robot,
+    phase: Phase,
+    law: Law,
+    state: State,
+    dynamics: Callable[[str], Dynamics],
+    memory: Memory,
+    given: dict[str, Wrench],
 ) -> tuple[Array, Array, dict[str, Array]]:
     """Torque of the book's law, and the acceleration and multipliers with which a rigid contact answers it."""
     motions = _motion_tasks(phase)
@@ -249,7 +281,16 @@ def closed_form(
 
 
 def _hybrid(
-    robot: Robot, phase: Phase, law: str, state: State, task: MotionTask, held: Any, adot: Any, commands: Any, dynamics: Any, vdot_posture: Array
+    robot: Robot,
+    phase: Phase,
+    law: Law,
+    state: State,
+    task: MotionTask,
+    held: Any,
+    adot: Any,
+    commands: Any,
+    dynamics: Any,
+    vdot_posture: Array,
 ) -> Array:
     (name,) = held
     A, d = held[name]
@@ -265,7 +306,16 @@ def _hybrid(
 
 
 def _stacked(
-    phase: Phase, law: str, state: State, motions: Any, held: Any, adot: Any, commands: Any, dynamics: Any, base: Dynamics, vdot_posture: Array
+    phase: Phase,
+    law: Law,
+    state: State,
+    motions: Any,
+    held: Any,
+    adot: Any,
+    commands: Any,
+    dynamics: Any,
+    base: Dynamics,
+    vdot_posture: Array,
 ) -> Array:
     """Contacts and motion that do not span one task space: fact 9, all rows stacked."""
     G, target, drift = [], [], []
@@ -290,7 +340,10 @@ def _stacked(
         if law == "book" and name in _force_tasks(phase):
             # the joint form of A' (Lam A M_C^-1 F + Lam Adot V), which needs no M_C of the whole frame
             held_rows = A @ d.J
-            lam = analytic.dynamically_consistent_inverse(d.M, held_rows).T @ push + analytic.task_inertia(d.M, held_rows) @ adot[name]
+            lam = (
+                analytic.dynamically_consistent_inverse(d.M, held_rows).T @ push
+                + analytic.task_inertia(d.M, held_rows) @ adot[name]
+            )
             push = held_rows.T @ lam
         tau = tau + push
     return tau
@@ -304,7 +357,9 @@ def _motion(task: MotionTask, state: State, d: Dynamics) -> Array:
     return feedforward + task.Kp @ analytic.pose_error(d.T, T_d) + task.Kd @ analytic.twist_error(d.T, d.V, T_d, V_d)
 
 
-def _command(phase: Phase, name: str, law: str, state: State, dynamics: Any, memory: Memory, given: dict[str, Wrench]) -> Array:
+def _command(
+    phase: Phase, name: str, law: Law, state: State, dynamics: Any, memory: Memory, given: dict[str, Wrench]
+) -> Array:
     """(6,) the wrench that the force loop asks for, before any projection."""
     task = _force_tasks(phase).get(name)
     contact = phase.contacts[name]
@@ -339,7 +394,7 @@ def _pinocchio(state: State, name: str) -> Dynamics:
 
 
 def _carrier(robot: Robot, name: str) -> tuple[int, pin.SE3]:
-    """MuJoCo's body that carries a frame, and the frame's place on it: for frames of bodies and joints, which are no sites."""
+    """MuJoCo's body that carries a frame that is no site (a body's or joint's), and the frame's place on it."""
     frame = robot.model.frames[robot.frame_id(name)]
     for body in range(1, robot.mujoco.nbody):
         carrier = robot.model.frames[robot.frame_id(body_name(robot.mujoco, body))]
@@ -366,4 +421,12 @@ def _motion_tasks(phase: Phase) -> list[MotionTask]:
 def _unlimited(phase: Phase) -> Phase:
     n = phase.torque.low.size
     free = np.full(n, np.inf)
-    return Phase(phase.contacts, phase.tasks, phase.weights, TorqueLimit(-free, free, free, phase.torque.joints), None, phase.name, phase.until)
+    return Phase(
+        phase.contacts,
+        phase.tasks,
+        phase.weights,
+        TorqueLimit(-free, free, free, phase.torque.joints),
+        None,
+        phase.name,
+        phase.until,
+    )

@@ -86,8 +86,12 @@ def _of_phases(spec: Spec, left_out: LeftOut, check: Callable[[Any], list[Messag
     tree = spec.model_dump(by_alias=True, exclude_unset=True, exclude={"phases", "expect"})
     for name, phase in spec.phases.items():
         path: KeyPath = ("phases", name)
-        if phase.until is None and name != list(spec.phases)[-1]:
+        last = name == list(spec.phases)[-1]
+        if phase.until is None and not last:
             yield (*path, "until"), "is missing; only the last phase may go on without an end"
+        if phase.until is not None and last and all(key[0] != "phases" for key in left_out):
+            message = "the last phase runs to the end; remove until, or add a phase after it"
+            yield (*path, "until"), f"expected none: {message}"
         changed: Any = tree
         places: dict[KeyPath, str] = {}
         for key, value in phase.set.items():

@@ -1,0 +1,205 @@
+"""Contacts and references, from the entries of a spec: tables, screws, curves, at the pose that a robot starts in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from . import spec as specs
+from .closing import Goal
+from .contact import AxesContact, Contact, MatrixContact, ScrewContact, WorldAxesContact
+from .faults import Faults, Place
+from .qp import Array
+from .reference import Path, Reference, Scalar, ScrewPath, constant, hold, quintic, ramp, sine
+from .robot import Robot
+from .wrench import VELOCITY_AXES
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What a spec, or one of its phases, says of places and motions.
+
+    `followed`: reference -> the axes along which something follows it, filled while contacts and tasks are made.
+    """
+
+    spec: specs.Spec
+    robot: Robot
+    faults: Faults
+    followed: dict[str, set[int]] = field(default_factory=dict)
+
+    def at(self, q: Array) -> tuple[dict[str, Contact], dict[str, Reference]]:
+        """Contacts, and the motion references by task, at the start `q` (nq,)."""
+        spec = self.spec
+        contacts: dict[str, Contact] = {}
+        paths: dict[str, Reference] = {}
+        for name, entry in spec.contacts.items():
+            with self.faults.at("contacts", name, entry.kind):
+                contacts[name], paths[name] = self._contact(name, entry, q)
+        references: dict[str, Reference] = {}
+        for name, task in spec.tasks.items():
+            if not isinstance(task, specs.MotionTask):
+                continue
+            if task.contact is not None:
+                if task.contact in paths:
+                    references[name] = paths[task.contact]
+                continue
+            assert task.frame is not None
+            assert task.target is not None
+            here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
+            references[name] = self._path(spec.references[task.target], task.target, here)
+            axes = VELOCITY_AXES if task.axes == "all" else task.axes
+            self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
+            self._check_axes(task.frame, () if task.axes == "all" else task.axes, ("tasks", name, "axes"))
+        return contacts, references
+
+    def goals(self, q: Array, contacts: Mapping[str, Contact], references: Mapping[str, Reference]) -> list[Goal]:
+        """What the start pose must be closed onto; what is to stay where it starts asks for nothing."""
+        robot, spec = self.robot, self.spec
+        goals: list[Goal] = []
+        paths: dict[str, Reference] = {}
+        for name, task in spec.tasks.items():
+            if not isinstance(task, specs.MotionTask):
+                continue
+            if task.contact is not None:
+                paths[task.contact] = references[name]
+            elif task.frame is not None and not _stays(spec.references[task.target or ""]):
+                rows = np.eye(6)[[i for i, a in enumerate(VELOCITY_AXES) if task.axes == "all" or a in task.axes]]
+                goals.append(Goal(task.frame, references[name](0.0).T, rows, ("tasks", name, "target")))
+        for name, contact in contacts.items():
+            T, on = self._on(name, spec.contacts[name], q)
+            if on is not None:
+                rows = np.eye(6) if name in paths else contact.A(robot.state(q, np.zeros(robot.nv)))
+                goals.append(Goal(contact.frame, paths[name](0.0).T if name in paths else T, rows, ("contacts", name)))
+        return goals
+
+    def force(self, contact: str, axis: str, value: float | str) -> Scalar:
+        """A number, or the motion along x of a reference, in newtons."""
+        if not isinstance(value, str):
+            return constant(float(value))
+        self.followed.setdefault(value, set()).add(3)
+        if self.spec.references[value].kind == "hold":
+            return constant(0.0)
+        return self._component(value, self.spec.references[value], 3, ("contacts", contact, "artificial", axis))
+
+    def _check_axes(self, frame: str, axes: Sequence[str], path: Place) -> None:
+        able = [VELOCITY_AXES[i] for i in self.robot.axes(frame)]
+        if extra := [axis for axis in axes if axis not in able]:
+            message = (
+                f"{self.spec.robot} cannot move {frame} along {', '.join(extra)}; expected some of {', '.join(able)}"
+            )
+            self.faults.add(path, message)
+
+    def _on(self, name: str, contact: specs.Contact, q: Array) -> tuple[pin.SE3, str | None]:
+        """Where the world holds the frame at the start, and the scene's frame that the start must be closed onto."""
+        on = contact.on or (name if name in self.robot.frames else None)
+        if on is not None:
+            return self.robot.fixed_pose(on), on
+        return self.robot.state(q, np.zeros(self.robot.nv)).frame(contact.frame).T, None
+
+    def _contact(self, name: str, entry: specs.Contact, q: Array) -> tuple[Contact, Reference]:
+        origin, on = self._on(name, entry, q)
+        able = tuple(VELOCITY_AXES[i] for i in self.robot.axes(entry.frame))
+        if entry.kind == "free":
+            return self._screws(name, entry, origin)
+        if entry.kind == "A":
+            return MatrixContact(entry.frame, np.array(entry.A or np.zeros((0, 6)))), hold(origin)
+        if entry.kind == "natural":
+            self._check_table(name, entry, able)
+        elif entry.holds != "all":
+            self._check_axes(entry.frame, entry.constrained, ("contacts", name, "holds"))
+        held = able if entry.holds == "all" else entry.constrained
+        free = tuple(axis for axis in able if axis not in held)
+        contact: Contact = AxesContact(entry.frame, held, free)
+        if entry.in_ == "on":
+            contact = WorldAxesContact(entry.frame, held, origin.rotation, free)
+        along = {}
+        for axis in free:
+            component, path = VELOCITY_AXES.index(axis), ("contacts", name, "artificial", axis)
+            target = entry.motion_targets.get(axis, 0.0)
+            along[component] = self._scalar(target, component, path, on or "world")
+        return contact, Path(origin, along)
+
+    def _check_table(self, name: str, entry: specs.Contact, able: Sequence[str]) -> None:
+        named = {*entry.constrained, *entry.free_axes}
+        missing = ", ".join(axis for axis in able if axis not in named)
+        extra = ", ".join(axis for axis in VELOCITY_AXES if axis in named and axis not in able)
+        said = [f"the table says nothing of {missing}"] if missing else []
+        said += [f"{self.spec.robot} cannot move along {extra}"] if extra else []
+        if said:
+            self.faults.add(("contacts", name, "natural"), f"{'; '.join(said)}; expected the axes {', '.join(able)}")
+
+    def _screws(self, name: str, entry: specs.Contact, origin: pin.SE3) -> tuple[Contact, Reference]:
+        screws, scalars = [], []
+        for label, motion in (entry.free or {}).items():
+            screw = motion.screw
+            place = origin if screw.through == "self" else self.robot.fixed_pose(screw.through)
+            named = isinstance(screw.axis, str)
+            component = "xyz".index(screw.axis) if isinstance(screw.axis, str) else 2
+            axis = np.eye(3)[component] if named else np.array(screw.axis) / np.linalg.norm(np.array(screw.axis))
+            w = place.rotation @ axis
+            p = place.translation - origin.translation
+            R = origin.rotation.T  # everything in the axes of the place where the frame is held
+            screws.append(np.concatenate((R @ w, R @ (np.cross(p, w) + screw.pitch * w))))
+            target, path = entry.motion_targets.get(label, 0.0), ("contacts", name, "artificial", label)
+            scalars.append(self._scalar(target, component, path, None))
+        contact = ScrewContact(entry.frame, np.array(screws).reshape(-1, 6), origin, tuple(entry.free or ()))
+        return contact, ScrewPath(origin, screws, scalars, pin.SE3.Identity())
+
+    def _scalar(self, target: float | str, axis: int, path: Place, on: str | None) -> Scalar:
+        """Motion along one axis of what a contact closes on; `on` None: wherever the reference is drawn."""
+        if not isinstance(target, str):
+            return ramp(target) if target else constant(0.0)
+        reference = self.spec.references[target]
+        self.followed.setdefault(target, set()).add(axis)
+        if reference.kind == "hold":
+            return constant(0.0)
+        if on is not None and reference.curve.in_ != on:
+            message = f"reference {target!r} is drawn in {reference.curve.in_!r}, but the contact closes on {on!r}"
+            self.faults.add(path, f"{message}; expected `in: {on}` in the reference")
+        return self._component(target, reference, axis, path)
+
+    def _component(self, name: str, reference: specs.Reference, axis: int, path: Place) -> Scalar:
+        known = components(reference)
+        if axis not in known:
+            gives = ", ".join(VELOCITY_AXES[i] for i in known)
+            message = f"reference {name!r} does not move along {VELOCITY_AXES[axis]}"
+            self.faults.add(path, f"{message}; expected a number, for a {reference.kind} gives {gives} only")
+        return known.get(axis, constant(0.0))
+
+    def _path(self, reference: specs.Reference, name: str, here: pin.SE3) -> Reference:
+        in_ = reference.curve.in_
+        self.followed.setdefault(name, set())
+        if _stays(reference):
+            return hold(here)
+        origin = pin.SE3.Identity() if in_ == "world" else self.robot.fixed_pose(in_)
+        turns = any(i < 3 for i in components(reference))
+        # a path of positions keeps the orientation that the frame starts with
+        offset = None if turns else pin.SE3(origin.rotation.T @ here.rotation, np.zeros(3))
+        return Path(origin, components(reference), offset)
+
+
+def components(reference: specs.Reference) -> dict[int, Scalar]:
+    """Scalar motions of a reference by axis (0 .. 5: wx, wy, wz, vx, vy, vz)."""
+    curve = reference.curve
+    if isinstance(curve, specs.Line):
+        return {3 + i: quintic((0.0, curve.time), (curve.from_[i], curve.to[i])) for i in range(3)}
+    if isinstance(curve, specs.Circle):
+        (x, y), r, T, ease = curve.center, curve.radius, curve.period, curve.ease
+        return {3: sine(r, T, math.pi / 2, x, ease), 4: sine(r, T, 0.0, y, ease)}
+    if isinstance(curve, specs.Lissajous):
+        sines = zip(curve.size, curve.period, curve.phases, strict=True)
+        return {3 + i: sine(size / 2, period, phase, 0.0, curve.ease) for i, (size, period, phase) in enumerate(sines)}
+    if isinstance(curve, specs.Quintic):
+        points = [(*p, 0.0, 0.0, 0.0)[:6] for p in curve.waypoints]
+        order = (3, 4, 5, 0, 1, 2)
+        used = 6 if any(len(p) == 6 for p in curve.waypoints) else 3
+        return {order[i]: quintic(curve.times, [p[i] for p in points]) for i in range(used)}
+    return {}
+
+
+def _stays(reference: specs.Reference) -> bool:
+    return reference.kind == "hold" and reference.curve.in_ == "world"

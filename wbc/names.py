@@ -1,0 +1,135 @@
+"""The robot, tool and scene that a spec names, and the frames, joints and keyframes that it expects of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pinocchio as pin
+
+from . import spec as specs
+from .errors import ModelError, ModelMismatch, SpecError, did_you_mean
+from .faults import Faults, Place
+from .model import find
+from .robot import Robot
+
+
+def load_robot(spec: specs.Spec, faults: Faults) -> Robot:
+    """The robot of a spec with its tool and scene. Raises SpecError."""
+    files: dict[str, str] = {}
+    named = (
+        ("robot", "scenes/robots", spec.robot),
+        ("tool", "scenes/tools", spec.tool),
+        ("scene", "scenes", spec.scene),
+    )
+    for key, kind, name in named:
+        if name is not None:
+            with faults.at(key):
+                files[key] = _file(spec, kind, name)
+    faults.check()
+    try:
+        robot = Robot.load(files["robot"], files.get("tool"), files.get("scene"), spec.gravity, name=spec.robot)
+    except ModelError as error:
+        faults.add((_blamed(files),), _told(error))
+    else:
+        if robot.nv:
+            return robot
+        faults.add(("robot",), "it has no joint; expected a robot that can move")
+    raise SpecError(faults.found)
+
+
+def _file(spec: specs.Spec, kind: str, name: str) -> str:
+    """Beside the spec, else a path, else a shipped one."""
+    try:
+        beside = Path(spec.file).parent / name
+        return str(beside) if not name.startswith("erd:") and beside.is_file() else str(find(kind, name))
+    except (OSError, ValueError):
+        raise ModelError("expected the name of a file, got one that no file can have") from None
+
+
+def _blamed(files: Mapping[str, str]) -> str:
+    """The first of robot, tool and scene with which they can no longer be put together."""
+    given: dict[str, str] = {}
+    for key in ("robot", "tool", "scene"):
+        if key in files:
+            given[key] = files[key]
+            try:
+                Robot.load(**given)
+            except ModelError:
+                return key
+    return "robot"
+
+
+def _told(error: ModelError) -> str:
+    """MuJoCo's complaints have line breaks, and do not say what they expected."""
+    message = " ".join(str(error).split())
+    if isinstance(error, ModelMismatch) or "flange" in message:
+        return message
+    return f"{message}; expected MJCF or URDF that MuJoCo accepts"
+
+
+def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
+    """Every frame, joint and keyframe that the spec names is one of the robot, its tool or the scene."""
+    names = _Names(spec, robot, faults)
+    for name, reference in spec.references.items():
+        if reference.curve.in_ != "world":
+            names.frame(reference.curve.in_, ("references", name, reference.kind, "in"), fixed=True)
+    for name, contact in spec.contacts.items():
+        names.frame(contact.frame, ("contacts", name, "frame"), moves=True)
+        if contact.on is not None:
+            names.frame(contact.on, ("contacts", name, "on"), fixed=True)
+        for screw, motion in (contact.free or {}).items():
+            if motion.screw.through != "self":
+                names.frame(motion.screw.through, ("contacts", name, "free", screw, "screw", "through"), True)
+    for name, task in spec.tasks.items():
+        if isinstance(task, specs.MotionTask) and task.frame is not None:
+            names.frame(task.frame, ("tasks", name, "frame"), moves=True)
+        if isinstance(task, specs.PostureTask):
+            names.pose(task.target, ("tasks", name, "target"), "start")
+    if spec.start is not None:
+        names.pose(spec.start, ("start",))
+    for limit in ("torque", "torque_rate", "velocity"):
+        value = getattr(spec.limits, limit)
+        if isinstance(value, dict):
+            names.joints(value, ("limits", limit))
+        elif isinstance(value, tuple) and len(value) != robot.nv:
+            faults.add(("limits", limit), f"expected {robot.nv} numbers, one a joint, got {len(value)}")
+
+
+@dataclass(frozen=True)
+class _Names:
+    """Names of one spec beside those of its robot."""
+
+    spec: specs.Spec
+    robot: Robot
+    faults: Faults
+
+    def frame(self, name: str, path: Place, fixed: bool = False, moves: bool = False) -> None:
+        """Frames are named by the robot, its tool and the scene; those that are left out may be what is wrong."""
+        if name not in self.robot.frames:
+            known = [frame for frame in self.robot.frames if frame != "universe"]
+            without = [key for key in ("tool", "scene") if getattr(self.spec, key) is None]
+            hint = f" (the spec names no {' and no '.join(without)})" if without else ""
+            self.faults.add(path, f"no frame named {name!r}{did_you_mean(name, known)}{hint}")
+            return
+        frame = self.robot.model.frames[self.robot.frame_id(name)]
+        if fixed:
+            with self.faults.at(*path):
+                self.robot.fixed_pose(name)
+        elif moves and not frame.parentJoint:
+            self.faults.add(path, f"frame {name!r} is fixed to the world; expected one of the robot or its tool")
+        elif path[0] == "contacts" and frame.type == pin.FrameType.JOINT:
+            self.faults.add(path, f"frame {name!r} is that of a joint; expected a body or a site")
+
+    def pose(self, pose: str | Mapping[str, float], path: Place, *more: str) -> None:
+        known = [*self.robot.keyframes, *more]
+        if not isinstance(pose, str):
+            self.joints(pose, path)
+        elif pose not in known:
+            self.faults.add(path, f"no keyframe named {pose!r}{did_you_mean(pose, known)}")
+
+    def joints(self, joints: Mapping[str, float], path: Place) -> None:
+        for joint in joints:
+            if joint not in self.robot.joints:
+                self.faults.add((*path, joint), f"no joint named {joint!r}{did_you_mean(joint, self.robot.joints)}")

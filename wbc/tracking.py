@@ -1,0 +1,118 @@
+"""Tasks, from the entries of a spec: gains over the axes of contacts and frames, targets as functions of time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import spec as specs
+from .contact import AxesContact, Contact, MatrixContact
+from .geometry import Geometry
+from .qp import Array
+from .reference import Reference, Scalar, constant
+from .robot import Robot
+from .task import ForceTask, MotionTask, PostureTask, Task
+from .wrench import VELOCITY_AXES, WRENCH_AXES
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """The tasks of a spec, or of one of its phases, on its contacts and motion references (by task)."""
+
+    geometry: Geometry
+    contacts: Mapping[str, Contact]
+    references: Mapping[str, Reference]
+
+    def tasks(self, q: Array) -> dict[str, Task]:
+        """Tasks by name, without those that are at fault; a posture may be the start `q` (nq,)."""
+        spec, faults, robot = self.geometry.spec, self.geometry.faults, self.geometry.robot
+        tasks: dict[str, Task] = {}
+        for name, entry in spec.tasks.items():
+            with faults.at("tasks", name):
+                if isinstance(entry, specs.ForceTask):
+                    if (force := self._force(name, entry)) is not None:
+                        tasks[name] = force
+                elif isinstance(entry, specs.MotionTask):
+                    tasks[name] = self._motion(name, entry)
+                else:
+                    kp, kd = (self._gain(entry, name, key, robot.joints) for key in ("kp", "kd"))
+                    tasks[name] = PostureTask(_posture(robot, entry.target, q), kp, kd, robot.nv)
+        return tasks
+
+    def _gain(self, entry: specs.Task, task: str, key: str, axes: Sequence[str]) -> Any:
+        """A number, or a vector or matrix over the axes."""
+        value = getattr(entry, key)
+        if isinstance(value, int | float):
+            return value
+        if len(value) != len(axes):
+            n = len(axes)
+            message = f"expected a number, {n} numbers ({', '.join(axes)}) or a matrix {n} x {n}, got {len(value)}"
+            self.geometry.faults.add(("tasks", task, key), message)
+            return 0.0
+        return np.array(value, float)
+
+    def _motion(self, name: str, entry: specs.MotionTask) -> MotionTask:
+        frame = self.contacts[entry.contact].frame if entry.contact is not None else entry.frame
+        assert frame is not None
+        able = self.geometry.robot.axes(frame)
+        if entry.contact is not None:
+            axes = self.contacts[entry.contact].free_axes
+        else:
+            axes = tuple(VELOCITY_AXES[i] for i in able) if entry.axes == "all" else entry.axes
+        kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
+        return MotionTask(frame, self.references[name], kp, kd, axes, entry.contact, self.geometry.spec.law, able)
+
+    def _force(self, name: str, entry: specs.ForceTask) -> ForceTask | None:
+        contact = self.contacts[entry.contact]
+        target: Any = None
+        with self.geometry.faults.at("contacts", entry.contact, "artificial"):
+            target = self._force_target(entry.contact, contact)
+        if target is None:
+            return None
+        kp, ki, damping = (self._gain(entry, name, key, contact.axes) for key in ("kp", "ki", "damping"))
+        limit = math.inf if entry.integral_limit is None else entry.integral_limit
+        return ForceTask(entry.contact, contact, target, kp, ki, damping, entry.filter, limit, self.geometry.spec.law)
+
+    def _force_target(self, name: str, contact: Contact) -> Any:
+        """lambda_d (k,), or a function of time. Raises WrenchError for what the contact cannot carry."""
+        given = self.geometry.spec.contacts[name].wrench_targets
+        scalars = {WRENCH_AXES.index(axis): self.geometry.force(name, axis, value) for axis, value in given.items()}
+        state = self.geometry.robot.state(self.geometry.robot.keyframes["home"], np.zeros(self.geometry.robot.nv))
+        if isinstance(contact, AxesContact):  # the table's own axes: they are the multipliers
+            order = [WRENCH_AXES.index(axis) for axis in contact.axes]
+            if outside := [i for i in scalars if i not in order]:
+                contact.multipliers(np.eye(6)[outside].sum(axis=0), state)
+            held = [scalars.get(i, constant(0.0)) for i in order]
+        else:
+            wrench = np.zeros(6)
+            for i, scalar in scalars.items():
+                wrench[i] = scalar(0.0)[0] or 1e-300  # a target of zero must be carried as well
+            contact.multipliers(wrench, state)
+            held = [scalars.get(i, constant(0.0)) for i in range(6)]
+        target = _stacked(held)
+        if not isinstance(contact, AxesContact):
+            inverse = contact.pseudo_inverse(contact.A(state))
+            return (lambda t: inverse @ target(t)) if isinstance(contact, MatrixContact) else inverse @ wrench
+        return target if any(isinstance(value, str) for value in given.values()) else target(0.0)
+
+
+def joint_values(robot: Robot, values: Mapping[str, float], base: Array) -> Array:
+    """`base` (nv,) with the values of some joints."""
+    out = base.copy()
+    for joint, value in values.items():
+        out[robot.joints.index(joint)] = value
+    return out
+
+
+def _posture(robot: Robot, target: str | Mapping[str, float], q: Array) -> Array:
+    if isinstance(target, str):
+        return q if target == "start" else robot.keyframes[target]
+    return joint_values(robot, target, q)
+
+
+def _stacked(scalars: list[Scalar]) -> Callable[[float], Array]:
+    return lambda t: np.array([scalar(t)[0] for scalar in scalars])
