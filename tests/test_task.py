@@ -379,3 +379,17 @@ def test_check_task_names_what_is_wrong(ur5e, wrong):
 def test_check_task_wants_a_symmetric_metric(ur5e):
     with pytest.raises(AssertionError, match="metric, its transpose at state 0 of seed 0: expected"):
         check_task(Skewed(), ur5e)
+
+
+def test_a_wrench_as_target_follows_the_contact_as_it_turns(panda):
+    """F_d in the frame's axes stays F_d, whatever the rows of a state-dependent A are at the moment."""
+    hinge = ScrewContact("eraser", np.eye(6)[2], panda.fixed_pose("board"))
+    home = panda.keyframes["home"]
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        state = panda.state(home + 0.2 * rng.normal(size=7), np.zeros(7))
+        state.contacts["door"] = hinge.hold(state)
+        A = state.contacts["door"].A
+        F_d = A.T @ rng.normal(size=5)
+        task = ForceTask("door", hinge, F_d, wrench=True)
+        np.testing.assert_allclose(A.T @ task.desired(state), F_d, atol=1e-12)

@@ -108,6 +108,10 @@ def _check_followed(geometry: Geometry) -> list[str]:
     """A reference that nothing follows is a mistake, unless `--set` has just taken its followers away."""
     spec, notes = geometry.spec, list[str]()
     targets = [("contacts", name, "artificial", axis) for name, c in spec.contacts.items() for axis in c.targets]
+    for contact in spec.contacts.values():
+        for value in contact.wrench_targets.values():
+            if isinstance(value, str):
+                geometry.followed.setdefault(value, set()).add(3)
     overridden = any(spec.fault(target, "").file != spec.file for target in targets)
     for name, reference in spec.references.items():
         idle = set(components(reference)) - geometry.followed.get(name, set())

@@ -80,7 +80,6 @@ class Geometry:
         """A number, or the motion along x of a reference, in newtons."""
         if not isinstance(value, str):
             return constant(float(value))
-        self.followed.setdefault(value, set()).add(3)
         if self.spec.references[value].kind == "hold":
             return constant(0.0)
         return self._component(value, self.spec.references[value], 3, ("contacts", contact, "artificial", axis))
@@ -186,7 +185,8 @@ def components(reference: specs.Reference) -> dict[int, Scalar]:
     """Scalar motions of a reference by axis (0 .. 5: wx, wy, wz, vx, vy, vz)."""
     curve = reference.curve
     if isinstance(curve, specs.Line):
-        return {3 + i: quintic((0.0, curve.time), (curve.from_[i], curve.to[i])) for i in range(3)}
+        ends = enumerate(zip(curve.from_, curve.to, strict=True))
+        return {3 + i: quintic((0.0, curve.time), pair) for i, pair in ends if any(pair)}
     if isinstance(curve, specs.Circle):
         (x, y), r, T, ease = curve.center, curve.radius, curve.period, curve.ease
         return {3: sine(r, T, math.pi / 2, x, ease), 4: sine(r, T, 0.0, y, ease)}

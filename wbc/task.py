@@ -145,7 +145,8 @@ class ForceLoop(NamedTuple):
 class ForceTask:
     """Force control on a contact: lambda = lambda_d + Kp e + Ki int e - K_damp A V (book 11.36, multipliers).
 
-    Parameters: `contact` and its object; `target` t -> lambda_d (k,) [N, N m] or an array; `kp`, `ki` [1/s], `damping`
+    Parameters: `contact` and its object; `target`: lambda_d (k,) [N, N m], or with `wrench` the
+    wrench F_d (6,) in the frame's axes, lambda_d = (A')^+ F_d; an array, or t -> array; `kp`, `ki` [1/s], `damping`
     [N s/m, N m s/rad] over the contact's axes; `filter`: cutoff of the measured wrench [Hz] or None; `integral_limit`
     on Ki int e [N, N m]. The error is that of the constrained axes alone, e = lambda_d - (A')^+ F, less what limits
     took from the command, which is no error (anti-windup; exactly zero while no limit is active). `law="book"`
@@ -163,8 +164,9 @@ class ForceTask:
         filter: float | None = None,
         integral_limit: float = math.inf,
         law: str = "compensated",
+        wrench: bool = False,
     ) -> None:
-        self.contact, self.law, self._held_by = contact, law, held_by
+        self.contact, self.law, self._held_by, self.wrench = contact, law, held_by, wrench
         self.target = target if callable(target) else _always(np.array(target, float))
         k = held_by.k
         self._book = law == "book"
@@ -190,6 +192,8 @@ class ForceTask:
     def desired(self, state: State) -> Array:
         """(k,) lambda_d, with what `targets` overrides."""
         lam = self.target(state.t)
+        if self.wrench:
+            lam = state.contacts[self.contact].inverse.dot(lam)
         if state.targets:
             lam = lam.copy()
             for i, axis in enumerate(self.axes):

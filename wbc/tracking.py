@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from . import spec as specs
-from .contact import AxesContact, Contact, MatrixContact
+from .contact import AxesContact, Contact
 from .geometry import Geometry
 from .qp import Array
 from .reference import Reference, Scalar, constant
@@ -75,10 +75,14 @@ class Tracking:
             return None
         kp, ki, damping = (self._gain(entry, name, key, contact.axes) for key in ("kp", "ki", "damping"))
         limit = math.inf if entry.integral_limit is None else entry.integral_limit
-        return ForceTask(entry.contact, contact, target, kp, ki, damping, entry.filter, limit, self.geometry.spec.law)
+        wrench = not isinstance(contact, AxesContact)
+        return ForceTask(
+            entry.contact, contact, target, kp, ki, damping, entry.filter, limit, self.geometry.spec.law, wrench
+        )
 
     def _force_target(self, name: str, contact: Contact) -> Any:
-        """lambda_d (k,), or a function of time. Raises WrenchError for what the contact cannot carry."""
+        """lambda_d (k,) of a table, else the wrench (6,), or a function of time. Raises WrenchError for what the
+        contact cannot carry."""
         given = self.geometry.spec.contacts[name].wrench_targets
         scalars = {WRENCH_AXES.index(axis): self.geometry.force(name, axis, value) for axis, value in given.items()}
         state = self.geometry.robot.state(self.geometry.robot.keyframes["home"], np.zeros(self.geometry.robot.nv))
@@ -94,9 +98,6 @@ class Tracking:
             contact.multipliers(wrench, state)
             held = [scalars.get(i, constant(0.0)) for i in range(6)]
         target = _stacked(held)
-        if not isinstance(contact, AxesContact):
-            inverse = contact.pseudo_inverse(contact.A(state))
-            return (lambda t: inverse @ target(t)) if isinstance(contact, MatrixContact) else inverse @ wrench
         return target if any(isinstance(value, str) for value in given.values()) else target(0.0)
 
 

@@ -366,7 +366,7 @@ def _command(
     A, d = contact.A(state), dynamics(contact.frame)
     if task is None:
         return np.zeros(6)
-    F_d = A.T @ task.target(state.t)
+    F_d = analytic.project_wrench(A, task.target(state.t)) if task.wrench else A.T @ task.target(state.t)
     damping = A.T @ (task.K_damp @ (A @ d.V))
     loop = memory.loops.get(name, ForceLoop())
     if name not in given:

@@ -58,7 +58,7 @@ class Phase(Model):
     """A stretch of time with values of its own; what `set` does not name is as without phases."""
 
     set: dict[str, Number] = Field(default={}, description="dotted key -> number, for this phase alone")
-    until: Until | None = Field(default=None, description="what ends the phase; the last one may go on")
+    until: Until | None = Field(default=None, description="what ends the phase; the last one has none")
 
 
 class Noise(Model):
