@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import wbc
+import wbc.task
 from wbc.controller import GOOD_TICKS, HOLD_TICKS, Status
 from wbc.errors import NameNotFound, SolverError, StateError
+from wbc.phase import hold
 from wbc.solver import Daqp
 
 SPEC = wbc.load("eraser")
@@ -314,3 +316,26 @@ def test_self_motion_is_damped_without_a_posture_and_a_meaningless_posture_is_dr
     ur = wbc.Controller.from_spec(wbc.load("eraser", ["robot=ur5e"]))
     assert "posture" not in ur.phase.tasks
     assert any("posture: dropped" in note for note in ur.notes)
+
+
+@pytest.mark.parametrize("law", ["compensated", "book"])
+def test_motion_and_posture_of_equal_weight_are_one_cost_and_the_same_problem(law):
+    made = wbc.Controller.from_spec(SPEC.model_copy(update={"law": law}), robot=ROBOT)
+    (program,) = made._programs
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        state = ROBOT.state(made.start + 0.2 * rng.normal(size=7), rng.normal(size=7), t=rng.uniform(0, 5))
+        seen, kept = [], program.merged
+        assert kept is not None
+        for merged in (kept, None):
+            program.merged = merged
+            hold(state, program.phase)
+            state.loops = {"board": wbc.task.ForceLoop()}
+            assert program.assemble(state, program.phase.torque.bounds(state.h, 0.001), 0.001)
+            seen.append(program.strict.problem.copy())
+            program.merged = kept
+        for name in ("H", "g", "C", "lo", "hi"):
+            one, other = getattr(seen[0], name), getattr(seen[1], name)
+            finite = np.isfinite(one)
+            np.testing.assert_array_equal(finite, np.isfinite(other))
+            np.testing.assert_allclose(one[finite], other[finite], atol=1e-9 * (1 + np.abs(one[finite]).max()))

@@ -42,6 +42,28 @@ def mobility(state: State, G: Array) -> Array:
     return G.dot(state.solve_M(G.T))
 
 
+def gauss(state: State, G: Array, b: Array, vdot: Array) -> tuple[Rows, Array]:
+    """Rows G vdot = b in their inertia, and an acceleration wanted in what they leave free, as one cost; and G M^-1 G'.
+
+    By Gauss's principle, with G Gbar = I and N = I - Gbar G, both of weight one,
+
+        |G x - b|^2_W + |N (x - vdot)|^2_M = |x - x*|^2_M,     x* = vdot + Gbar (b - G vdot),  Gbar = M^-1 G' W
+    """
+    X = state.solve_M(G.T)
+    K = G.dot(X)
+    x = X.dot(inertia_times(K, b - G.dot(vdot)))
+    x += vdot
+    return Rows("", {"vdot": None}, x, x, state.M), K
+
+
+def inertia_times(mobility_of_rows: Array, r: Array) -> Array:
+    """(m,) `inertia` of the rows times r, without forming it."""
+    factor = LLT(mobility_of_rows)
+    if factor.info() == ComputationInfo.Success and factor.rcond() > 1e-14:
+        return factor.solve(r).reshape(r.shape)
+    return inertia(mobility_of_rows).dot(r)
+
+
 @lru_cache
 def _identity(m: int) -> Array:
     return np.eye(m, order="F")
@@ -54,7 +76,7 @@ def inertia(mobility_of_rows: Array) -> Array:
         return mobility_of_rows
     factor = LLT(mobility_of_rows)
     if factor.info() == ComputationInfo.Success and factor.rcond() > 1e-14:
-        return factor.solve(_identity(m))
+        return factor.solve(_identity(m)).reshape(m, m)
     # dependent rows (redundant contacts, a singular pose): invert what can move
     values, vectors = np.linalg.eigh(mobility_of_rows)
     keep = values > 1e-10 * values.max()

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from .contact import Contact
-from .dynamics import inertia, mobility, torque_map
+from .dynamics import gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .robot import Robot, State
 from .task import ForceTask, MotionTask, PostureTask, Task
 
+_NO_METRIC = np.zeros((0, 0))
 YIELD_WEIGHT = 1e6  # of joint viability, in ticks that have no answer otherwise
 
 
@@ -93,6 +94,13 @@ class Program:
                 f"law: book is for one contact and one motion task on it; there are {len(phase.contacts)} contacts and "
                 f"{len(self.above)} tasks of motion; use law: compensated"
             )
+        # motion and posture of equal weight are one least squares problem in M
+        self.merged: tuple[MotionTask, PostureTask, float] | None = None
+        if self.single and len(self.posture) == 1:
+            names = [*self.motion, *self.posture]
+            own = type(self.motion[names[0]]) is MotionTask and type(self.posture[names[1]]) is PostureTask
+            if own and phase.weights[names[0]] == phase.weights[names[1]]:
+                self.merged = (self.motion[names[0]], self.posture[names[1]], phase.weights[names[0]])
         state = State(start.robot, start.data, start.q, start.v)
         hold(state, phase)
         sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
@@ -141,11 +149,18 @@ class Program:
     def costs(self, state: State) -> list[tuple[Rows, float]]:
         """Rows of all tasks with their weights."""
         weights = self.phase.weights
-        costs = [(task.rows(state), weights[name]) for name, task in self.above.items()]
-        if not self.single:
-            costs += self._stack(state, [rows for rows, _ in costs])
-        for name, posture in self.posture.items():
-            costs.append((posture.rows(state), weights[name]))
+        if self.merged is not None:
+            motion, posture, weight = self.merged
+            G, b = motion.stack(state)
+            rows, K = gauss(state, G, b, posture.acceleration(state))
+            state.primary = (G, _NO_METRIC, K)
+            costs = [(rows, weight)]
+        else:
+            costs = [(task.rows(state), weights[name]) for name, task in self.above.items()]
+            if not self.single:
+                costs += self._stack(state, [rows for rows, _ in costs])
+            for name, posture in self.posture.items():
+                costs.append((posture.rows(state), weights[name]))
         for contact, held in state.contacts.items():
             if contact in self.force:
                 name, force = self.force[contact]

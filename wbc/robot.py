@@ -89,7 +89,7 @@ class State:
         """M^-1 B by Cholesky, factored once a tick."""
         if self._L is None:
             self._L = LLT(self.M)
-        return self._L.solve(B)
+        return self._L.solve(B).reshape(B.shape)  # eigenpy answers one column as a vector
 
     def gravity(self) -> Array:
         """(nv,) g(q) [N m]."""

@@ -108,20 +108,24 @@ class MotionTask:
         S = self.selection if self.contact is None else state.contacts[self.contact].free
         return S.dot(frame.J), S.dot(y)
 
-    def rows(self, state: State) -> Rows:
-        """With the contacts' rows, which hold anyway, the metric is the inertia that the constrained robot shows."""
+    def stack(self, state: State) -> tuple[Array, Array]:
+        """G vdot = b with the contacts' rows first: they hold anyway, and with them the metric of the rows is the
+        inertia that the constrained robot shows. Under the book's law the raw rows alone."""
         if not self.raw and len(state.contacts) == 1 and self.contact is not None:
             held: Held = state.contacts[self.contact]
             n, k = state.v.size, held.A.shape[0]
-            G = held.table[:, :n]
             b = -held.table[:, n]
             b[:k] = held.rhs
             b[k:] += held.free.dot(computed_torque(state.frame(self.frame), self.reference(state.t), self._K))
-        else:
-            G, b = self.target(state)
-            if not self.raw:
-                G = np.concatenate([held.G for held in state.contacts.values()] + [G])
-                b = np.concatenate([held.rhs for held in state.contacts.values()] + [b])
+            return held.table[:, :n], b
+        G, b = self.target(state)
+        if not self.raw:
+            G = np.concatenate([held.G for held in state.contacts.values()] + [G])
+            b = np.concatenate([held.rhs for held in state.contacts.values()] + [b])
+        return G, b
+
+    def rows(self, state: State) -> Rows:
+        G, b = self.stack(state)
         K = mobility(state, G)
         W = inertia(K)
         state.primary = (G, W, K)
