@@ -1,5 +1,6 @@
 """Robot, tool and scene files become one MuJoCo model and an equal Pinocchio model, or an error that says why not."""
 
+import importlib.metadata
 import warnings
 from itertools import product
 from pathlib import Path
@@ -275,6 +276,27 @@ def test_a_tool_needs_a_flange(tmp_path):
 def test_an_example_robot_says_what_it_needs():
     with pytest.raises(ModelError, match=r"pip install 'wbc\[robots\]'|example-robot-data has no robot"):
         Robot.load("erd:no_such_robot")
+
+
+def test_example_robots_are_found_by_the_stem_of_their_urdf(tmp_path, monkeypatch):
+    """A package laid out as example-robot-data is: files below `robots/`, URDFs among them."""
+
+    class Package:
+        files = tuple(Path("share") / f"{stem}.urdf" for stem in ("panda", "ur5_robot", "talos_reduced", "talos_arm"))
+
+        def locate_file(self, path):
+            return tmp_path / path
+
+    monkeypatch.setattr(importlib.metadata, "distribution", lambda name: Package())
+    for name, stem in (
+        ("panda", "panda"),
+        ("ur5", "ur5_robot"),
+        ("talos", "talos_reduced"),
+        ("talos_arm", "talos_arm"),
+    ):
+        assert models.find("scenes/robots", f"erd:{name}") == tmp_path / "share" / f"{stem}.urdf"
+    with pytest.raises(ModelError, match="has no robot 'pnda'; did you mean 'panda'"):
+        models.find("scenes/robots", "erd:pnda")
 
 
 def test_loading_leaves_no_trace(tmp_path, monkeypatch):

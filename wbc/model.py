@@ -7,7 +7,7 @@ limits without a word.
 
 from __future__ import annotations
 
-import importlib.util
+import importlib.metadata
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -46,15 +46,17 @@ def find(kind: str, name: str) -> Path:
 
 
 def _example_robot(name: str) -> Path:
-    if importlib.util.find_spec("example_robot_data") is None:
-        raise ModelError(f"erd:{name} needs the package example-robot-data: pip install 'wbc[robots]'")
-    from example_robot_data.robots_loader import ROBOTS, getModelPath
-
-    if name not in ROBOTS:
-        raise ModelError(f"example-robot-data has no robot {name!r}{did_you_mean(name, ROBOTS)}")
-    loader = ROBOTS[name]
-    relative = f"{loader.path}/{loader.urdf_subpath}/{loader.urdf_filename}"
-    return Path(getModelPath(relative)) / relative
+    """The URDF of that name in the package example-robot-data; `ur5` also finds `ur5_robot`, `talos` `talos_reduced`."""
+    try:
+        package = importlib.metadata.distribution("example-robot-data")
+    except importlib.metadata.PackageNotFoundError:
+        message = f"erd:{name} needs the package example-robot-data: pip install 'wbc[robots]'"
+        raise ModelError(message) from None
+    files = {path.stem: path for path in map(Path, package.files or ()) if path.suffix == ".urdf"}
+    for stem in (name, f"{name}_robot", f"{name}_reduced"):
+        if stem in files:
+            return Path(str(package.locate_file(str(files[stem]))))
+    raise ModelError(f"example-robot-data has no robot {name!r}{did_you_mean(name, files)}")
 
 
 def compose(
