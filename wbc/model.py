@@ -46,7 +46,7 @@ def find(kind: str, name: str) -> Path:
 
 
 def _example_robot(name: str) -> Path:
-    """The URDF of that name in the package example-robot-data; `ur5` also finds `ur5_robot`, `talos` `talos_reduced`."""
+    """The URDF of that name in the package example-robot-data; `ur5` finds `ur5_robot`, `talos` `talos_reduced`."""
     try:
         package = importlib.metadata.distribution("example-robot-data")
     except importlib.metadata.PackageNotFoundError:
