@@ -7,45 +7,32 @@ MuJoCo alone computes. Acceleration and multipliers are held against the constra
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 
-from . import analytic
 from .build import Built, build
 from .controller import Controller, Memory, Phase
 from .limit import TorqueLimit
 from .model import body_name, point_jacobian
+from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
 from .qp import Array
 from .robot import Robot, State
 from .run import run
 from .sim import to_mujoco
 from .solver import Solver
 from .spec import Spec
-from .task import ForceLoop, ForceTask, MotionTask, PostureTask
+from .task import ForceLoop
 from .wrench import Wrench
 
-Law = Literal["compensated", "book"]
 LAWS: tuple[Law, ...] = ("compensated", "book")
 STATES, KEPT = 1000, 700
 MAX_COND, MAX_COND_AJ = 1e5, 30.0
-
-
-class Dynamics(NamedTuple):
-    """What the closed form needs of the robot at a state: M, h, and of the task frame J, drift, V and T (4, 4)."""
-
-    M: Array
-    h: Array
-    J: Array
-    drift: Array
-    V: Array
-    T: Array
 
 
 @dataclass
@@ -162,7 +149,7 @@ class Oracle:
             q, v = rng.uniform(low, high), rng.uniform(-1.0, 1.0, robot.nv)
             t = float(rng.uniform(0.0, self.built.spec.duration))
             loops, given = {}, {}
-            for name in _force_tasks(phase):
+            for name in force_tasks(phase):
                 size = 6 if self.law == "book" else phase.contacts[name].k
                 scale = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
                 loops[name] = ForceLoop(scale * rng.normal(size=6), rng.normal(size=size))
@@ -179,7 +166,7 @@ class Oracle:
 
     def _well_conditioned(self, phase: Phase, q: Array, v: Array) -> bool:
         state = self.built.robot.state(q, v)
-        for task in _motion_tasks(phase):
+        for task in motion_tasks(phase):
             J = state.frame(task.frame).J
             # a frame halfway up the arm has fewer than six axes at any one pose: what counts is what the task asks for
             J = J[list(self.built.robot.axes(task.frame))] if task.contact is not None else task.selection @ J
@@ -246,148 +233,6 @@ class Oracle:
         return of
 
 
-def closed_form(
-    robot: Robot,
-    phase: Phase,
-    law: Law,
-    state: State,
-    dynamics: Callable[[str], Dynamics],
-    memory: Memory,
-    given: dict[str, Wrench],
-) -> tuple[Array, Array, dict[str, Array]]:
-    """Torque of the book's law, and the acceleration and multipliers with which a rigid contact answers it."""
-    motions = _motion_tasks(phase)
-    frames = [task.frame for task in motions] or [contact.frame for contact in phase.contacts.values()]
-    base = dynamics(frames[0])
-    posture = next((task for task in phase.tasks.values() if isinstance(task, PostureTask)), None)
-    vdot_posture = np.zeros(robot.nv) if posture is None else posture.Kp @ (posture.q - state.q) - posture.Kd @ state.v
-    commands = {name: _command(phase, name, law, state, dynamics, memory, given) for name in phase.contacts}
-    held = {name: (contact.A(state), dynamics(contact.frame)) for name, contact in phase.contacts.items()}
-    adot = {name: contact.Adot_V(state) for name, contact in phase.contacts.items()}
-    if len(motions) == 1 and len(held) == 1 and motions[0].contact in held:
-        tau = _hybrid(robot, phase, law, state, motions[0], held, adot, commands, dynamics, vdot_posture)
-    else:
-        tau = _stacked(phase, law, state, motions, held, adot, commands, dynamics, base, vdot_posture)
-    # what a rigid contact makes of that torque
-    G = np.concatenate([np.zeros((0, robot.nv)), *(A @ d.J for A, d in held.values())])
-    rhs = np.concatenate([np.zeros(0), *(-(held[n][0] @ held[n][1].drift + adot[n]) for n in held)])
-    k = rhs.size
-    answer = np.linalg.solve(np.block([[base.M, G.T], [G, np.zeros((k, k))]]), np.r_[tau - base.h, rhs])
-    lam, start = {}, robot.nv
-    for name, (A, _) in held.items():
-        lam[name] = answer[start : start + A.shape[0]]
-        start += A.shape[0]
-    return tau, answer[: robot.nv], lam
-
-
-def _hybrid(
-    robot: Robot,
-    phase: Phase,
-    law: Law,
-    state: State,
-    task: MotionTask,
-    held: Any,
-    adot: Any,
-    commands: Any,
-    dynamics: Any,
-    vdot_posture: Array,
-) -> Array:
-    (name,) = held
-    A, d = held[name]
-    axes = list(robot.axes(task.frame))
-    y = _motion(task, state, dynamics(task.frame))
-    # an arm of fewer axes cannot move along all that the contact leaves free: the rows that it can
-    _, s, rows = np.linalg.svd(phase.contacts[name].free(state)[:, axes], full_matrices=False)
-    S = rows[s > 1e-9]
-    return analytic.hybrid_torque(
-        d.M, d.h, d.J[axes], d.drift[axes], A[:, axes], y[axes], commands[name][axes], Adot_V=adot[name],
-        law=law, vdot_posture=vdot_posture if robot.nv > len(axes) else None, S=S,
-    )  # fmt: skip
-
-
-def _stacked(
-    phase: Phase,
-    law: Law,
-    state: State,
-    motions: Any,
-    held: Any,
-    adot: Any,
-    commands: Any,
-    dynamics: Any,
-    base: Dynamics,
-    vdot_posture: Array,
-) -> Array:
-    """Contacts and motion that do not span one task space: fact 9, all rows stacked."""
-    G, target, drift = [], [], []
-    for name, (A, d) in held.items():
-        G.append(A @ d.J)
-        target.append(-adot[name])
-        drift.append(A @ d.drift)
-    for task in motions:
-        d = dynamics(task.frame)
-        S = phase.contacts[task.contact].free(state) if task.contact is not None else task.selection
-        G.append(S @ d.J)
-        target.append(S @ _motion(task, state, d))
-        drift.append(S @ d.drift)
-    n = base.h.size
-    rows = np.concatenate([np.zeros((0, n)), *G])
-    vdot = analytic.hybrid_acceleration(
-        base.M, rows, np.concatenate([np.zeros(0), *target]), np.concatenate([np.zeros(0), *drift]), vdot_posture
-    )
-    tau = base.M @ vdot + base.h
-    for name, (A, d) in held.items():
-        push = d.J.T @ commands[name]
-        if law == "book" and name in _force_tasks(phase):
-            # the joint form of A' (Lam A M_C^-1 F + Lam Adot V), which needs no M_C of the whole frame
-            held_rows = A @ d.J
-            lam = (
-                analytic.dynamically_consistent_inverse(d.M, held_rows).T @ push
-                + analytic.task_inertia(d.M, held_rows) @ adot[name]
-            )
-            push = held_rows.T @ lam
-        tau = tau + push
-    return tau
-
-
-def _motion(task: MotionTask, state: State, d: Dynamics) -> Array:
-    desired = task.reference(state.t)
-    T_d, V_d = desired.T.homogeneous, desired.V
-    feedforward = analytic.computed_torque(d.T, d.V, T_d, V_d, desired.Vdot, 0.0, 0.0)
-    # gains on some axes are only semidefinite as (6, 6), which `computed_torque` refuses
-    return feedforward + task.Kp @ analytic.pose_error(d.T, T_d) + task.Kd @ analytic.twist_error(d.T, d.V, T_d, V_d)
-
-
-def _command(
-    phase: Phase, name: str, law: Law, state: State, dynamics: Any, memory: Memory, given: dict[str, Wrench]
-) -> Array:
-    """(6,) the wrench that the force loop asks for, before any projection."""
-    task = _force_tasks(phase).get(name)
-    contact = phase.contacts[name]
-    A, d = contact.A(state), dynamics(contact.frame)
-    if task is None:
-        return np.zeros(6)
-    F_d = analytic.project_wrench(A, task.target(state.t)) if task.wrench else A.T @ task.target(state.t)
-    damping = A.T @ (task.K_damp @ (A @ d.V))
-    loop = memory.loops.get(name, ForceLoop())
-    if name not in given:
-        return F_d - damping
-    F = given[name].F
-    filtered = F if loop.filtered is None else loop.filtered + task.smoothing(state.dt) * (F - loop.filtered)
-    integral = loop.integral if loop.integral.size else np.zeros(6 if law == "book" else contact.k)
-    yielded = _yielded(task, loop, state.dt)
-    if law == "book":
-        return analytic.force_command(F_d, F_d + A.T @ yielded - filtered, integral, task.Kp, task.Ki) - damping
-    error = analytic.multiplier_error(A, F_d - filtered) + yielded
-    return F_d + A.T @ (task.Kp @ error + task.Ki @ integral) - damping
-
-
-def _yielded(task: ForceTask, loop: ForceLoop, dt: float) -> Array:
-    """(k,) what limits took from earlier commands, as the loop's filter remembers it."""
-    past = np.zeros(task.K_damp.shape[0]) if loop.yielded is None else loop.yielded
-    last = np.zeros_like(past) if loop.last is None else loop.last
-    return past + task.smoothing(dt) * (last - past)
-
-
 def _pinocchio(state: State, name: str) -> Dynamics:
     frame = state.frame(name)
     return Dynamics(state.M, state.h, frame.J, frame.drift, frame.V, frame.T.homogeneous)
@@ -401,21 +246,6 @@ def _carrier(robot: Robot, name: str) -> tuple[int, pin.SE3]:
         if carrier.parentJoint == frame.parentJoint:
             return body, carrier.placement.actInv(frame.placement)
     return 0, frame.placement
-
-
-def relative(value: Array, truth: Array) -> float:
-    """max |value - truth| / (1 + max |truth|); infinite when a number is missing."""
-    if value.shape != truth.shape or not (np.isfinite(value).all() and np.isfinite(truth).all()):
-        return math.inf
-    return float(np.abs(value - truth).max(initial=0.0) / (1.0 + np.abs(truth).max(initial=0.0)))
-
-
-def _force_tasks(phase: Phase) -> dict[str, ForceTask]:
-    return {task.contact: task for task in phase.tasks.values() if isinstance(task, ForceTask)}
-
-
-def _motion_tasks(phase: Phase) -> list[MotionTask]:
-    return [task for task in phase.tasks.values() if isinstance(task, MotionTask)]
 
 
 def _unlimited(phase: Phase) -> Phase:
