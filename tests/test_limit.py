@@ -139,26 +139,6 @@ def test_bounds_are_never_empty_at_any_state(rng):
         assert np.isfinite(rows.hi).all()
 
 
-def test_far_from_every_limit_the_short_way_says_the_same(rng):
-    n = 50
-    limit = JointLimit(
-        np.full(n, -9.0),
-        np.full(n, 9.0),
-        *(rng.uniform(1, 3, n), rng.uniform(5, 50, n), rng.uniform(500, 5000, n)),
-        ("",) * n,
-    )
-    thorough = JointLimit(np.full(n, -9.0), np.full(n, 9.0), limit._v_max[:n], limit.a[:n], limit.j[:n], ("",) * n)
-    thorough._clear = np.full(2 * n, -INF)
-    short = 0
-    for reach in (0.0, 2.0, 6.0, 8.0):
-        q, v = rng.uniform(-1, 1, n) * reach, rng.uniform(-1, 1, n) * limit._v_max[:n]
-        a, b = limit.rows(q, v, DT), thorough.rows(q, v, DT)
-        short += (np.abs(q) + DT * np.abs(v) < limit._clear[:n]).all()
-        np.testing.assert_allclose(a.hi, b.hi, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(a.lo, b.lo, rtol=1e-9, atol=1e-9)
-    assert short >= 2
-
-
 def test_infinite_limits_bind_nothing():
     a, j = np.full(3, 5.0), np.full(3, 500.0)
     limit = JointLimit(

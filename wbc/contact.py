@@ -32,6 +32,7 @@ class Held(NamedTuple):
     free: Array  # (6 - k, 6) rows that pick the free motion
     inverse: Array  # (k, 6) (A')^+, multipliers of a wrench
     table: Array
+    bias: Array  # (6,) what G vdot is of all rows of `table` when the free ones do not accelerate: rhs comes first
     G: Array  # (k, nv)
     rhs: Array  # (k,)
     slip: Array  # (k,) A V, zero while the contact holds
@@ -75,10 +76,11 @@ class Contact(ABC):
     def _hold(self, state: State, A: Array, free: Array, inverse: Array, basis: Array, Adot_V: Array | None) -> Held:
         n, k = state.v.size, self.k
         table = basis.dot(state.frame(self.frame).table)
-        rhs = -table[:k, n]
+        bias = -table[:, n]
+        rhs = bias[:k]
         if Adot_V is not None:
             rhs -= Adot_V
-        return Held(self.frame, A, Adot_V, free, inverse, table, table[:k, :n], rhs, table[:k, n + 1])
+        return Held(self.frame, A, Adot_V, free, inverse, table, bias, table[:k, :n], rhs, table[:k, n + 1])
 
     def rows(self, name: str, held: Held) -> Rows:
         """The hard rows A (J vdot + Jdot v) = -Adot V."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from .contact import Contact
 from .errors import StateError, did_you_mean
+from .kernels import torque
 from .phase import Phase, Program, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State
@@ -289,10 +290,8 @@ class Controller:
     ) -> Output:  # fmt: skip
         workspace, force, yielded = program.last, program.force, program.yielded
         slices = workspace.variables.slices
-        tau = workspace.product("torque", solution.x)
-        tau += state.h
-        np.maximum(tau, bounds[0], out=tau)  # the certificate's tolerance must not reach the motors
-        np.minimum(tau, bounds[1], out=tau)
+        tau = np.empty(state.v.size)  # in its bounds: the certificate's tolerance must not reach the motors
+        torque(workspace.coefficients("torque"), solution.x, state.h, *bounds, tau)
         wrenches, loops, lam = {}, dict(memory.loops), {}
         for name, held in state.contacts.items():
             lam[name] = solution.x[slices[name]]

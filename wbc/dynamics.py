@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from eigenpy import LLT, ComputationInfo
 
+from . import kernels
 from .qp import Array, Rows
 from .robot import State
 
@@ -49,19 +50,11 @@ def gauss(state: State, G: Array, b: Array, vdot: Array) -> tuple[Rows, Array]:
 
         |G x - b|^2_W + |N (x - vdot)|^2_M = |x - x*|^2_M,     x* = vdot + Gbar (b - G vdot),  Gbar = M^-1 G' W
     """
-    X = state.solve_M(G.T)
-    K = G.dot(X)
-    x = X.dot(inertia_times(K, b - G.dot(vdot)))
-    x += vdot
+    m, n = G.shape
+    x, K = np.empty(n), np.empty((m, m))
+    if not kernels.gauss(state.M, G, b, vdot, x, K):
+        x = vdot + state.solve_M(G.T.dot(inertia(K).dot(b - G.dot(vdot))))
     return Rows("", {"vdot": None}, x, x, state.M), K
-
-
-def inertia_times(mobility_of_rows: Array, r: Array) -> Array:
-    """(m,) `inertia` of the rows times r, without forming it."""
-    factor = LLT(mobility_of_rows)
-    if factor.info() == ComputationInfo.Success and factor.rcond() > 1e-14:
-        return factor.solve(r).reshape(r.shape)
-    return inertia(mobility_of_rows).dot(r)
 
 
 @lru_cache

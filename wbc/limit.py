@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from .errors import GainError
+from .kernels import braking_bounds, torque_window
 from .qp import Array, Rows
 from .robot import Robot
 
@@ -42,8 +43,9 @@ class TorqueLimit:
 
     def bounds(self, tau_last: Array, dt: float) -> tuple[Array, Array]:
         """(nv,), (nv,) for this tick; never empty, for `tau_last` lies within the limits (see `inside`)."""
-        step = self.rate * dt
-        return np.maximum(self.low, tau_last - step), np.minimum(self.high, tau_last + step)
+        lo, hi = np.empty(tau_last.size), np.empty(tau_last.size)
+        torque_window(self.low, self.high, self.rate, dt, tau_last, lo, hi)
+        return lo, hi
 
     def inside(self, tau: Array) -> Array:
         """A torque from outside, led into the limits."""
@@ -70,71 +72,32 @@ class JointLimit:
     def __init__(self, q_min: Array, q_max: Array, v_max: Array, a: Array, j: Array, joints: tuple[str, ...]) -> None:
         both = np.concatenate
         self.n, self.joints = v_max.size, joints
-        self._sides = np.concatenate((np.eye(self.n), -np.eye(self.n)))  # towards the upper, then the lower edge
+        # of each: towards the upper, then the lower edge
         self._edge, self._v_max, self.j = both((q_max, -q_min)), both((v_max, v_max)), both((j, j))
         # the distance to stop from v_max, v^2 / (2 a) + 2 v a / j, is shortest at this deceleration
         self.a = np.minimum(both((a, a)), 0.5 * np.sqrt(self._v_max * self.j))
         self._lead = np.maximum(2.0 * self.a * self.a / self.j, self.a * SETTLE)  # [rad/s] l, w'(0) <= 1/T
-        self._lead2 = self._lead * self._lead
-        self._back = -np.minimum(0.1 * self.a, self._v_max)  # [rad/s] the way back from beyond the edge
-        self._soft = 0.5 * SETTLE * self.j  # [rad/s^2] c
-        self._soft2 = self._soft * self._soft
-        self._top, self._slow = self._soft2 + self.j * self._v_max, self.j[:, None] * self._sides
-        self._clear = self._edge - self._asks_from()
-
-    def _asks_from(self) -> Array:
-        """(2 nv,) room [rad] beyond which position asks nothing, at any speed, that velocity does not ask."""
-        far = np.full(2 * self.n, np.inf)
-        for i in np.flatnonzero(np.isfinite(self._v_max)):
-            top = self._v_max[i]
-            w = top * np.linspace(1.0, 9.0, 161)[:, None]
-            v = top * np.linspace(0.0, 1.0, 21)
-            position, velocity = (np.sqrt(self._soft2[i] + self.j[i] * gap) - self._soft[i] for gap in (w - v, top - v))
-            free = (position - self.a[i] * v / (w + self._lead[i]) >= velocity).all(axis=1)
-            if free.any():
-                first = w[free.argmax(), 0]
-                far[i] = first * (first + 2.0 * self._lead[i]) / (2.0 * self.a[i])
-        return np.where(np.isfinite(self._edge), far, -np.inf)
-
-    def _curve(self, room: Array) -> tuple[Array, Array]:
-        """w(d) [rad/s] and w'(d) [1/s]; beyond the edge w asks the joint to come back, slowly."""
-        root = np.sqrt(self._lead2 + 2.0 * self.a * np.maximum(room, 0.0))
-        slope = self.a / root
-        return root - self._lead + np.maximum(np.minimum(room, 0.0) * slope, self._back), slope
-
-    def _closing(self, gap: Array) -> Array:
-        """m(e), and for a gap that is overstepped a return with the time constant T."""
-        return np.minimum(np.sqrt(self._soft2 + self.j * np.maximum(gap, 0.0)) - self._soft, gap / SETTLE)
+        back = -np.minimum(0.1 * self.a, self._v_max)  # [rad/s] the way back from beyond the edge
+        self._table = np.stack((self._edge, self._v_max, self.a, self._lead, back, self.j))
 
     def viable_speed(self, q: Array) -> Array:
         """(2 nv,) the largest speed towards the upper, then the lower edge from which the joint stops in time.
 
         It holds for a joint that does not accelerate yet: m(w - v) = w' v.
         """
-        w, slope = self._curve(self._edge - self._sides.dot(q))
-        w = np.maximum(w, 0.0)
-        b = slope * self._soft + 0.5 * self.j
+        room = np.maximum(self._edge - np.concatenate((q, -q)), 0.0)
+        root = np.sqrt(self._lead**2 + 2.0 * self.a * room)
+        w, slope = root - self._lead, self.a / root
+        b = 0.5 * self.j * (slope * SETTLE + 1.0)
         reach = np.where(np.isfinite(w), w, 0.0)
         speed = self.j * reach / (b + np.sqrt(b * b + self.j * reach * slope * slope))
         return np.minimum(np.where(np.isfinite(w), speed, np.inf), self._v_max)
 
     def rows(self, q: Array, v: Array, dt: float) -> Rows:
         """Bounds on vdot [rad/s^2] under which the next state is viable."""
-        n = self.n
-        ahead = self._sides.dot(q + dt * v)
-        if min((self._clear - ahead).tolist()) > 0.0:  # only velocity asks: m(v_max - v)
-            under_root = self._top - self._slow.dot(v)
-            if min(under_root.tolist()) > 0.0:
-                most = np.sqrt(under_root)
-                most -= self._soft
-                if min(most.tolist()) >= 0.0:
-                    return Rows("joint", {"vdot": None}, -most[n:], most[:n])
-        speed = self._sides.dot(v)
-        spare = self._v_max - speed
-        w, slope = self._curve(self._edge - ahead)
-        most = np.minimum(self._closing(spare), self._closing(w - speed) - slope * speed)
-        most = np.maximum(most, -self.a)  # from beyond a limit the model brakes with no more than it has
-        return Rows("joint", {"vdot": None}, np.minimum(-most[n:], most[:n]), np.maximum(-most[n:], most[:n]))
+        lo, hi = np.empty(self.n), np.empty(self.n)
+        braking_bounds(q, v, dt, self._table, SETTLE, lo, hi)
+        return Rows("joint", {"vdot": None}, lo, hi)
 
     @property
     def labels(self) -> tuple[str, ...]:

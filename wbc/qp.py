@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ProblemError
+from .kernels import add_square, residuals, total
 
 Array = NDArray[np.float64]
 
@@ -77,24 +78,10 @@ def certify(problem: Problem, x: Array, z: Array) -> Certificate:
 
     A number that is not finite anywhere makes a residual that no tolerance holds.
     """
-    _, g, C, lo, hi, n_eq, stack = problem
-    n = g.size
+    _, g, _, lo, hi, n_eq, stack = problem
     if x.shape != g.shape or z.shape != lo.shape:
         return UNCERTIFIED
-    value = stack.dot(x)
-    residual = z[n:].dot(C)
-    residual += z[:n]
-    residual += g
-    residual += value[:n]
-    value[:n] = x  # now [x; C x], what the bounds bound
-    outside = np.maximum(value, lo)
-    outside -= np.minimum(value, hi)  # the violation; where bounds cross, no value makes it zero
-    gap, first = 0.0, n + n_eq
-    for i in z.nonzero()[0].tolist():
-        if i < n or i >= first:
-            distance = value[i] - (hi[i] if z[i] > 0.0 else lo[i])
-            gap = max(gap, abs(z[i] * distance))
-    return Certificate(math.sqrt(outside.dot(outside)), math.sqrt(residual.dot(residual)), float(gap))
+    return Certificate(*residuals(stack, g, lo, hi, n_eq, x, z))
 
 
 class Variables:
@@ -161,10 +148,10 @@ class Workspace:
             raise ProblemError(f"hard rows need names of their own, got {', '.join(names)}")
         m = sum(rows.lo.size for kind in ("equality", "inequality") for rows in kinds[kind])
         n_eq = sum(rows.lo.size for rows in kinds["equality"])
-        buffer = np.zeros((n + m) * n + n)  # H over C, then g: one sum finds a number that is not finite
-        stack = buffer[: (n + m) * n].reshape(n + m, n)
+        buffer = np.zeros(n + (n + m) * n)  # g, then H over C: one sum finds a number that is not finite
+        stack = buffer[n:].reshape(n + m, n)
         self.labels = [f"{name}[{i}]" for name, s in variables.slices.items() for i in range(s.stop - s.start)]
-        g, lo, hi = buffer[(n + m) * n :], np.full(n + m, -np.inf), np.full(n + m, np.inf)
+        g, lo, hi = buffer[:n], np.full(n + m, -np.inf), np.full(n + m, np.inf)
         self._blocks: dict[str, _Block] = {}
         for rows in kinds["bound"]:
             (name,) = rows.A
@@ -181,7 +168,7 @@ class Workspace:
             self._blocks[rows.name] = _Block(lo[start:stop], hi[start:stop], columns, stack[start:stop])
             self.labels += rows.labels or [f"{rows.name}[{i}]" for i in range(stop - start)]
             start = stop
-        self._buffer = buffer
+        self._buffer, self._cost = buffer, buffer[: n + n * n]
         self._H = {(a, b): stack[variables[a], variables[b]] for a in variables.slices for b in variables.slices}
         self._g = {name: g[place] for name, place in variables.slices.items()}
         self.problem = Problem(stack[:n], g, stack[n:], lo, hi, n_eq, stack)
@@ -199,12 +186,16 @@ class Workspace:
 
     def clear(self) -> None:
         """Forget the costs of the last tick; hard rows are overwritten in place."""
-        self.problem.H[:] = 0.0
-        self.problem.g[:] = 0.0
+        self._cost.fill(0.0)
 
     def minimise(self, rows: Rows, weight: float) -> None:
         """Add `weight / 2 |A x - lo|^2` in the metric of the rows."""
         _, coefficients, target, _, metric, _ = rows
+        if metric is not None and len(coefficients) == 1:
+            ((name, A),) = coefficients.items()
+            if A is None:
+                add_square(metric, target, weight, self._H[name, name], self._g[name])
+                return
         weighted = {}
         for name, A in coefficients.items():
             if A is None:
@@ -232,9 +223,13 @@ class Workspace:
         value: Array = self._blocks[name].C.dot(x)
         return value
 
+    def coefficients(self, name: str) -> Array:
+        """C of the hard block `name`."""
+        return self._blocks[name].C
+
     def finite(self) -> bool:
         """Whether every coefficient is a number; a solver given one that is not may run for minutes."""
-        return math.isfinite(np.add.reduce(self._buffer))
+        return math.isfinite(total(self._buffer))
 
     def fault(self) -> str:
         """Why the assembled problem has no answer, where that can be seen, or ""."""

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from .kernels import shift
 from .qp import Array
 
 _ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))
@@ -103,20 +104,18 @@ class Path:
     def __init__(self, origin: pin.SE3, along: Mapping[int, Scalar], offset: pin.SE3 | None = None) -> None:
         self.origin, self.along = origin.copy(), dict(along)
         self.offset = offset
-        self._R, self._place = origin.rotation.copy(), origin.homogeneous[:3].copy()
+        self._place = origin.homogeneous[:3].copy()
         self._turns = [(i, self.along[i]) for i in _ROTATIONS if i in self.along]
         self._x, self._y, self._z = (self.along.get(i, constant(0.0)) for i in (3, 4, 5))
 
     def __call__(self, t: float) -> Sample:
-        (x, vx, ax), (y, vy, ay), (z, vz, az) = self._x(t), self._y(t), self._z(t)
-        R, p = self._R, self._place.dot(np.array([x, y, z, 1.0]))
-        motion = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, vx, ax, vy, ay, vz, az]).reshape(6, 2)
+        T, p, motion = self.origin.copy(), np.empty(3), np.empty((6, 2))
+        shift(self._place, *self._x(t), *self._y(t), *self._z(t), p, motion)
+        T.translation = p
         for axis, turn in self._turns:
             s, rate, bend = turn(t)
-            if s == 0.0 and rate == 0.0 and bend == 0.0:
-                continue
-            R = R @ self._turn(axis, s, rate, bend, motion)
-        T = pin.SE3(R, p)
+            if s != 0.0 or rate != 0.0 or bend != 0.0:
+                T.rotation = T.rotation @ self._turn(axis, s, rate, bend, motion)
         return Sample(T, motion) if self.offset is None else Sample(T * self.offset, _seen_from(self.offset, motion))
 
     @staticmethod

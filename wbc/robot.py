@@ -11,6 +11,7 @@ from eigenpy import LLT
 
 from . import model as models
 from .errors import ModelError, NameNotFound
+from .kernels import frame_table
 from .qp import Array
 
 _NO_ROWS: tuple[Array, Array, Array] = (np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)))
@@ -78,11 +79,8 @@ class State:
             # computeAllTerms leaves the accelerations at vdot = 0 in data.a: they are the drift
             a = pin.getFrameAcceleration(model, data, index, pin.LOCAL).vector
             table = np.empty((6, n + 2))
-            table[:3, :n], table[3:, :n] = J[3:], J[:3]
-            table[:3, n], table[3:, n] = a[3:], a[:3]
-            J = table[:, :n]
-            V = table[:, n + 1] = J.dot(self.v)
-            found = self._frames[name] = Frame(T, V, J, table[:, n], table)
+            frame_table(J, a, self.v, table)
+            found = self._frames[name] = Frame(T, table[:, n + 1], table[:, :n], table[:, n], table)
         return found
 
     def solve_M(self, B: Array) -> Array:

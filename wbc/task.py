@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
+from . import kernels
 from .analytic import gain_matrix
 from .contact import Contact, Held
 from .dynamics import inertia, mobility
@@ -41,17 +42,7 @@ def computed_torque(frame: Frame, desired: Sample, K: Array) -> Array:
     `K` (6, 12) is [Kp, Kd], its first six columns in the order of Pinocchio's logarithm, linear part first.
     """
     X = frame.T.actInv(desired.T)
-    moved = X.toActionMatrix()[_ANGULAR_FIRST].dot(desired.motion)
-    V_d, y = moved[:, 0], moved[:, 1]
-    w0, w1, w2, v0, v1, v2 = frame.V.tolist()
-    a0, a1, a2, b0, b1, b2 = V_d.tolist()
-    y -= (  # ad_V (Ad V_d)
-        w1 * a2 - w2 * a1, w2 * a0 - w0 * a2, w0 * a1 - w1 * a0,
-        v1 * a2 - v2 * a1 + w1 * b2 - w2 * b1, v2 * a0 - v0 * a2 + w2 * b0 - w0 * b2,
-        v0 * a1 - v1 * a0 + w0 * b1 - w1 * b0,
-    )  # fmt: skip
-    y += K.dot(np.concatenate((pin.log6(X).vector, V_d - frame.V)))
-    return y
+    return kernels.computed_torque(X.toActionMatrix(), desired.motion, frame.V, pin.log6(X).vector, K)
 
 
 class MotionTask:
@@ -114,8 +105,7 @@ class MotionTask:
         if not self.raw and len(state.contacts) == 1 and self.contact is not None:
             held: Held = state.contacts[self.contact]
             n, k = state.v.size, held.A.shape[0]
-            b = -held.table[:, n]
-            b[:k] = held.rhs
+            b = held.bias.copy()
             b[k:] += held.free.dot(computed_torque(state.frame(self.frame), self.reference(state.t), self._K))
             return held.table[:, :n], b
         G, b = self.target(state)
@@ -176,7 +166,7 @@ class ForceTask:
         self._book = law == "book"
         self.Kp, self.Ki = (self._gain(K, k, name) for K, name in ((kp, "kp"), (ki, "ki")))
         self.K_damp = gain_matrix(damping, k, "damping")
-        self._K = np.hstack((self.Kp, self.Ki))
+        self._K, self._minus_K_damp = np.hstack((self.Kp, self.Ki)), -self.K_damp
         self.filter, self.integral_limit = filter, integral_limit
         self.axes = held_by.axes
 
@@ -213,12 +203,12 @@ class ForceTask:
         yielded = self._yielded(loop, state.dt)
         if measured is None:
             return loop.filtered, integral, yielded, np.zeros(size)
-        filtered = loop.filtered
-        filtered = measured if filtered is None else filtered + self.smoothing(state.dt) * (measured - filtered)
         # what a limit took is no error: counted as one, it would wind up, and strike when the limit lets go
         desired = desired if yielded is None else desired + yielded
-        error = held.A.T.dot(desired) - filtered if self._book else desired - held.inverse.dot(filtered)
-        return filtered, integral, yielded, error
+        past = measured if loop.filtered is None else loop.filtered
+        filtered, error = np.empty(6), np.empty(desired.size)
+        kernels.sense(measured, past, self.smoothing(state.dt), held.inverse, desired, filtered, error)
+        return filtered, integral, yielded, held.A.T.dot(desired) - filtered if self._book else error
 
     def _yielded(self, loop: ForceLoop, dt: float) -> Array | None:
         if loop.yielded is None and loop.last is None:
@@ -232,33 +222,34 @@ class ForceTask:
         held: Held = state.contacts[self.contact]
         command = self.desired(state)
         filtered, integral, yielded, error = self.sense(state, command)
-        feedback = self._K.dot(np.concatenate((error, integral)))
         G, _, K = state.primary
         k = command.size
         # a motion task on this contact has computed the mobility already: its rows begin with the contact's
         metric = K[:k, :k] if G.base is held.table else mobility(state, held.G)
         if self._book:
             # (I - P) F = A' Lam A M_C^-1 F, and A M_C^-1 F = G M^-1 J' F; the constraint adds Lam Adot V of its own
+            feedback = self._K.dot(np.concatenate((error, integral)))
             push = held.G.dot(state.solve_M(state.frame(held.frame).J.T.dot(feedback)))
             if held.Adot_V is not None:
                 push += held.Adot_V
             command = command + inertia(metric).dot(push)
+            command -= self.K_damp.dot(held.slip)
         else:
-            command = command + feedback
-        command -= self.K_damp.dot(held.slip)
+            command = command.copy()
+            kernels.feedback(self._K, error, integral, command)
+            kernels.feedback(self._minus_K_damp, held.slip, _NOTHING, command)
         state.loops[self.contact] = ForceLoop(filtered, integral, yielded, None, error, command)
         return Rows("", {self.contact: None}, command, command, metric)
 
     def advance(self, state: State, lam: Array) -> ForceLoop:
         """The memory for the next tick, from the multipliers (k,) that the limits allowed."""
         loop: ForceLoop = state.loops[self.contact]
-        integral = loop.integral + state.dt * loop.error
+        integral, last = np.empty(loop.error.size), np.empty(lam.size)
+        nothing = kernels.advance(lam, loop.command, loop.integral, loop.error, state.dt, integral, last)
         if self.integral_limit < math.inf:
             bound = self.integral_limit / np.maximum(self.Ki.diagonal(), 1e-12)
             integral = np.clip(integral, -bound, bound)
-        last = lam - loop.command
-        negligible = last.dot(last) <= 1e-14 * (1.0 + loop.command.dot(loop.command))
-        return ForceLoop(loop.filtered, integral, loop.yielded, None if negligible else last)
+        return ForceLoop(loop.filtered, integral, loop.yielded, None if nothing else last)
 
 
 def _always(value: Array) -> Callable[[float], Array]:
@@ -282,7 +273,9 @@ class PostureTask:
         """(nv,) vdot_p [rad/s^2]."""
         model = state.robot.model
         error = self.q - state.q if model.nq == model.nv else pin.difference(model, state.q, self.q)
-        return self._K.dot(np.concatenate((error, state.v)))
+        vdot = np.zeros(state.v.size)
+        kernels.feedback(self._K, error, state.v, vdot)
+        return vdot
 
     def rows(self, state: State) -> Rows:
         G, W, _ = state.primary
