@@ -71,10 +71,10 @@ def shift(
     motion[3, 1], motion[4, 1], motion[5, 1] = ax, ay, az
 
 
-@_compiled(types.float64[::1], _m, _m, _v, _v, _m)
-def computed_torque(action: Array, motion: Array, V: Array, e: Array, K: Array) -> Array:
+@_compiled(types.void, _m, _m, _v, _v, _m, _V)
+def computed_torque(action: Array, motion: Array, V: Array, e: Array, K: Array, y: Array) -> None:
     """y = Ad Vdot_d - ad_V (Ad V_d) + [Kp, Kd] (X_e, V_e), `action` = Ad and X_e = `e` with the linear part first."""
-    V_d, y = np.empty(6), np.empty(6)
+    V_d = np.empty(6)
     for i in range(6):
         source = (i + 3) % 6
         velocity, acceleration = 0.0, 0.0
@@ -89,7 +89,6 @@ def computed_torque(action: Array, motion: Array, V: Array, e: Array, K: Array) 
     for i in range(6):
         for j in range(6):
             y[i] += K[i, j] * e[j] + K[i, 6 + j] * (V_d[j] - V[j])
-    return y
 
 
 @_inner

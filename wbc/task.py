@@ -42,7 +42,9 @@ def computed_torque(frame: Frame, desired: Sample, K: Array) -> Array:
     `K` (6, 12) is [Kp, Kd], its first six columns in the order of Pinocchio's logarithm, linear part first.
     """
     X = frame.T.actInv(desired.T)
-    return kernels.computed_torque(X.toActionMatrix(), desired.motion, frame.V, pin.log6(X).vector, K)
+    y = np.empty(6)
+    kernels.computed_torque(X.toActionMatrix(), desired.motion, frame.V, pin.log6(X).vector, K, y)
+    return y
 
 
 class MotionTask:
