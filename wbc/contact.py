@@ -37,12 +37,21 @@ class Held(NamedTuple):
     rhs: Array  # (k,)
     slip: Array  # (k,) A V, zero while the contact holds
 
+    def unconstrained(self, F: Array) -> Array:
+        """(6,) the part of a wrench that the constraint does not cause: F - A' (A')^+ F."""
+        return F - self.inverse.dot(F).dot(self.A)
+
 
 class Contact(ABC):
-    """Base of all contacts. `axes` names the multipliers; by default lambda1, lambda2, ..."""
+    """Base of all contacts. `axes` names the multipliers; by default lambda1, lambda2, ...
+
+    `feedforward`: "measured" counts the part of the measured wrench that the constraint does not cause (friction, the
+    load of a hinge) as known; "none" leaves it to the feedback.
+    """
 
     frame: str
     k: int
+    feedforward: str = "none"
 
     @abstractmethod
     def A(self, state: State) -> Array:

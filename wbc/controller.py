@@ -152,7 +152,7 @@ class Controller:
 
     @property
     def workspace(self) -> Workspace:
-        """Holds the last problem until the next tick; an answer's torque is `product("torque", x) + state.h`."""
+        """Holds the last problem until the next tick; an answer's torque is `product("torque", x) + state.bias`."""
         return self._program.last
 
     def reset(self, q: Array, v: Array, tau: Array | None = None) -> None:
@@ -262,6 +262,10 @@ class Controller:
                 F = loops[name].filtered if name in loops else None
             if F is not None:
                 state.measured[name] = F
+        for name in phase.fed:
+            if name in state.measured:
+                held = state.contacts[name]
+                state.carry(held.frame, held.unconstrained(state.measured[name]))
         state.targets = memory.targets  # type: ignore[assignment]
         if targets:
             state.targets = dict(memory.targets)
@@ -291,7 +295,7 @@ class Controller:
         workspace, force, yielded = program.last, program.force, program.yielded
         slices = workspace.variables.slices
         tau = np.empty(state.v.size)  # in its bounds: the certificate's tolerance must not reach the motors
-        torque(workspace.coefficients("torque"), solution.x, state.h, *bounds, tau)
+        torque(workspace.coefficients("torque"), solution.x, state.bias, *bounds, tau)
         wrenches, loops, lam = {}, dict(memory.loops), {}
         for name, held in state.contacts.items():
             lam[name] = solution.x[slices[name]]

@@ -1,6 +1,6 @@
 """Equations of motion: the affine map (vdot, lambda) -> tau that eliminates the torque, and inertias of row stacks.
 
-tau = M vdot + h + sum_c G_c' lambda_c,     G_c = A_c J_c
+tau = M vdot + bias + sum_c G_c' lambda_c,     G_c = A_c J_c,     bias = h + J' F of the wrenches that are known
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def torque_map(state: State) -> TorqueMap:
     A = {"vdot": state.M}
     for name, held in state.contacts.items():
         A[name] = held.G.T
-    return TorqueMap(A, state.h)
+    return TorqueMap(A, state.bias)
 
 
 def mobility(state: State, G: Array) -> Array:

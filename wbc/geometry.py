@@ -39,6 +39,7 @@ class Geometry:
         for name, entry in spec.contacts.items():
             with self.faults.at("contacts", name, entry.kind):
                 contacts[name], paths[name] = self._contact(name, entry, q)
+                contacts[name].feedforward = entry.feedforward
         references: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
             if not isinstance(task, specs.MotionTask):

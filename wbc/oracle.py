@@ -45,6 +45,11 @@ def closed_form(
     """Torque of the book's law, and the acceleration and multipliers with which a rigid contact answers it."""
     motions = motion_tasks(phase)
     frames = [task.frame for task in motions] or [contact.frame for contact in phase.contacts.values()]
+    known = np.zeros(robot.nv)
+    for name in set(phase.fed) & set(given):
+        contact = phase.contacts[name]
+        known += dynamics(contact.frame).J.T @ analytic.wrench_residual(contact.A(state), given[name].F)
+    dynamics = _loaded(dynamics, known)
     base = dynamics(frames[0])
     posture = next((task for task in phase.tasks.values() if isinstance(task, PostureTask)), None)
     vdot_posture = np.zeros(robot.nv) if posture is None else posture.Kp @ (posture.q - state.q) - posture.Kd @ state.v
@@ -65,6 +70,16 @@ def closed_form(
         lam[name] = answer[start : start + A.shape[0]]
         start += A.shape[0]
     return tau, answer[: robot.nv], lam
+
+
+def _loaded(dynamics: Callable[[str], Dynamics], known: Array) -> Callable[[str], Dynamics]:
+    """The same with h counting the torque of known wrenches."""
+
+    def of(name: str) -> Dynamics:
+        d = dynamics(name)
+        return d._replace(h=d.h + known)
+
+    return of
 
 
 def _hybrid(

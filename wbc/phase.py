@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,11 @@ class Phase:
     joint: JointLimit | None
     name: str = ""
     until: float = math.inf
+
+    @cached_property
+    def fed(self) -> tuple[str, ...]:
+        """Contacts whose measured wrench is fed forward along the free axes."""
+        return tuple(name for name, contact in self.contacts.items() if contact.feedforward == "measured")
 
 
 def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any], limits: Mapping[str, Any]) -> Phase:

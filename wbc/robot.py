@@ -28,19 +28,21 @@ class Frame(NamedTuple):
 
 
 class State:
-    """Everything about the robot that a tick may read, computed once: M vdot + h = tau - J' F.
+    """Everything about the robot that a tick may read, computed once: M vdot + bias = tau - J' F.
 
     Attributes: t [s], dt [s], q (nq,), v (nv,), M (nv, nv), h (nv,) with Coriolis, centrifugal, gravity and joint
-    damping. `frame(name)` is a `Frame`. `contacts`, `measured`, `targets` and `loops` are filled by the controller:
-    what the contacts demand, the wrenches measured (6,), the targets set from outside, and the force loops' memory;
-    `primary` is (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of
-    them. Valid until the next state is computed from the same `data`.
+    damping; `bias` (nv,) [N m], h and the torque of wrenches that are known. `frame(name)` is a `Frame`. `contacts`,
+    `measured`, `targets` and `loops` are filled by the controller: what the contacts demand, the wrenches measured
+    (6,), the targets set from outside, and the force loops' memory; `primary` is (G, W, K), all rows of contacts and
+    motion tasks, their inertia and mobility: the posture stays out of them. Valid until the next state is computed from
+    the same `data`.
     """
 
     __slots__ = (
         "M",
         "_L",
         "_frames",
+        "bias",
         "contacts",
         "data",
         "dt",
@@ -60,6 +62,7 @@ class State:
         pin.computeAllTerms(robot.model, data, q, v)
         self.M: Array = data.M
         self.h: Array = data.nle if robot.damping is None else data.nle + robot.damping * v
+        self.bias = self.h
         self.contacts: dict[str, Any] = {}
         self.measured: dict[str, Array] = {}
         self.targets: dict[str, float] = {}
@@ -82,6 +85,10 @@ class State:
             frame_table(J, a, self.v, table)
             found = self._frames[name] = Frame(T, table[:, n + 1], table[:, :n], table[:, n], table)
         return found
+
+    def carry(self, frame: str, F: Array) -> None:
+        """Count a known wrench F (6,) of the robot on its environment, in the axes of `frame`: bias + J' F."""
+        self.bias = self.bias + self.frame(frame).J.T.dot(F)
 
     def solve_M(self, B: Array) -> Array:
         """M^-1 B by Cholesky, factored once a tick."""

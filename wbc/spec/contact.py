@@ -79,6 +79,9 @@ class Contact(OneOf):
     free: dict[Name, FreeMotion] | None = Field(default=None, description="free screws, of which A is the annihilator")
     holds: Axes | None = Field(default=None, description="velocity axes that are held, or all")
     A: tuple[Row, ...] | None = Field(default=None, max_length=6, description="rows of A V = 0, angular part first")
+    feedforward: Literal["none", "measured"] = Field(
+        default="none", description="measured: the measured wrench along the free axes counts as known"
+    )
     artificial: dict[str, Artificial] = Field(
         default={}, description="targets: velocities [rad/s, m/s], wrenches on the environment [N m, N], or references"
     )
