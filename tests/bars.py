@@ -10,6 +10,7 @@ SPECS: dict[str, dict[str, float]] = {
         "board.my.rms_error": 1e-3,
         "draw.position.rms_error": 8e-5,  # [m]
     },
+    "chalk": {"board.fz.rms_error": 0.005, "draw.position.rms_error": 8e-5},
     "eraser_noisy": {"board.fz.rms_error": 0.05},  # sensor noise of 0.2 N
     "eraser_weak": {"board.fz.max_error": 2.0, "draw.speed.max": 0.5, "board.lost": 0},
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},

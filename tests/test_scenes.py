@@ -291,6 +291,24 @@ def test_eraser_rests_on_its_four_spheres():
     np.testing.assert_allclose(sensor_T_eraser, shift(0, 0.08) @ turn(0, PI), rtol=0, atol=1e-12)
 
 
+def test_chalk_touches_with_one_ball_whose_lowest_point_is_the_task_frame():
+    model = mujoco.MjSpec.from_file(str(SCENES / "tools" / "chalk.xml")).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    (tip,) = [i for i in range(model.ngeom) if model.geom_contype[i] or model.geom_conaffinity[i]]
+    centre = np.linalg.inv(pose(data, "chalk")) @ [*data.geom_xpos[tip], 1]
+    np.testing.assert_allclose(centre[:3], [0, 0, model.geom_size[tip, 0]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pose(data, "chalk"), shift(0, 0.12) @ turn(0, PI), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pose(data, "wrist_sensor"), np.eye(4), rtol=0, atol=1e-12)
+    holder, stick = (0.09, 0.016, 0.0, 0.05), (0.01, 0.005, 0.05, 0.12)  # [kg], radius, from, to [m]
+    assert model.body_mass[1] == pytest.approx(sum(m for m, *_ in (holder, stick)), abs=1e-12)
+    com = sum(m * (a + b) / 2 for m, _, a, b in (holder, stick)) / model.body_mass[1]
+    np.testing.assert_allclose(model.body_ipos[1], [0, 0, com], atol=1e-4)
+    across = sum(m * ((3 * r**2 + (b - a) ** 2) / 12 + ((a + b) / 2 - com) ** 2) for m, r, a, b in (holder, stick))
+    along = sum(m * r**2 / 2 for m, r, *_ in (holder, stick))
+    np.testing.assert_allclose(model.body_inertia[1], [across, across, along], atol=1e-7)
+
+
 @each_robot
 def test_only_the_spheres_touch_and_only_the_board(name):
     model = compose(name)
