@@ -20,8 +20,7 @@ from .errors import SimulationError
 from .log import Log
 from .metrics import metrics
 from .model import quietly
-from .qp import Array
-from .sim import Observation, Simulator
+from .sim import Observation, Simulator, Touch
 from .task import ForceTask, MotionTask
 
 STATUS_NAMES = [status.name for status in Status]
@@ -94,7 +93,7 @@ def _loop(
         took = time.perf_counter() - before
         simulator.apply(out.tau)
         true = {
-            name: simulator.true_wrench(controller.phase.contacts[name].frame)
+            name: simulator.true_touch(controller.phase.contacts[name].frame)
             for name in contacts
             if name in controller.phase.contacts
         }
@@ -109,7 +108,7 @@ def _loop(
 
 
 def _record(
-    log: Log, controller: Controller, seen: Observation, out: Output, took: float, true: dict[str, Array]
+    log: Log, controller: Controller, seen: Observation, out: Output, took: float, true: dict[str, Touch]
 ) -> None:
     state, phase, memory = controller.state, controller.phase, controller.memory
     assert memory is not None
@@ -119,9 +118,13 @@ def _record(
         "status": STATUS_NAMES.index(out.status.name),
         "step_us": took * 1e6, "kkt": max(out.certificate),
     }  # fmt: skip
-    for name, wrench in true.items():
-        held = state.contacts[name]
-        row |= {f"{name}.true": wrench, f"{name}.lam": held.inverse @ wrench}
+    for name, touch in true.items():
+        held, contact = state.contacts[name], phase.contacts[name]
+        row |= {f"{name}.true": touch.F, f"{name}.lam": held.inverse @ touch.F}
+        row |= {f"{name}.points": touch.points, f"{name}.mu": touch.mu}
+        if contact.pushes is not None:
+            told = contact.pushes.told(contact, state, touch.F)
+            row |= {f"{name}.{quantity}": value for quantity, value in told.items()}
         row[f"{name}.predicted"] = out.wrenches.get(name, np.full(6, np.nan))
         row[f"{name}.measured"] = state.measured.get(name, np.full(6, np.nan))
     for name, task in phase.tasks.items():

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from . import material
 from .errors import ModelError, SimulationError
 from .model import quietly, to_pinocchio
 from .qp import Array
@@ -24,6 +25,14 @@ class Observation(NamedTuple):
     t: float
     q: Array
     v: Array
+
+
+class Touch(NamedTuple):
+    """What a body of the robot applied to its environment in a tick."""
+
+    F: Array  # (6,) in the axes of the frame asked for
+    points: int  # points of contact with a force along their normal
+    mu: float  # their coefficient of friction, 0 without
 
 
 class Simulator:
@@ -97,26 +106,32 @@ class Simulator:
 
     def true_wrench(self, frame: str) -> Array:
         """(6,) what the body of `frame` applied to its environment in the last tick, in that frame; unfiltered."""
+        return self.true_touch(frame).F
+
+    def true_touch(self, frame: str) -> Touch:
+        """The true wrench of the body of `frame` with what a wrench cannot tell."""
         if _has_site(self.model, frame):
             site = self.model.site(frame)
             body, R, p = site.bodyid[0], self.data.site_xmat[site.id].reshape(3, 3), self.data.site_xpos[site.id]
         else:
             body = self.model.body(frame).id
             R, p = self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
-        F, force = np.zeros(6), np.zeros(6)
+        F, force, points, mu = np.zeros(6), np.zeros(6), 0, 0.0
         for i in range(self.data.ncon):
             contact = self.data.contact[i]
             owners = [self.model.geom_bodyid[g] for g in contact.geom]
             if (owners[0] == body) == (owners[1] == body):
                 continue
             mujoco.mj_contactForce(self.model, self.data, i, force)
+            if force[0] > 0.0:
+                points, mu = points + 1, max(mu, float(contact.friction[0]) if contact.dim > 1 else 0.0)
             # the contact frame's force acts on the second geom
             sign = 1.0 if owners[0] == body else -1.0
             axes = contact.frame.reshape(3, 3)
             f, m = sign * (axes.T @ force[:3]), sign * (axes.T @ force[3:])
             F[:3] += R.T @ (m + np.cross(contact.pos - p, f))
             F[3:] += R.T @ f
-        return F
+        return Touch(F, points, mu)
 
 
 def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:
@@ -146,6 +161,7 @@ def _changed(robot: Robot, plant: Any) -> mujoco.MjModel:
         touching = (model.geom_contype | model.geom_conaffinity) > 0
         model.geom_friction[touching, 0] = plant.contact_friction
         model.geom_condim[touching] = 3
+        material.settle(model, plant.contact_friction)
     with quietly():
         mujoco.mj_setConst(model, mujoco.MjData(model))
     return model

@@ -252,7 +252,7 @@ def _unlimited(phase: Phase) -> Phase:
     n = phase.torque.low.size
     free = np.full(n, np.inf)
     return Phase(
-        phase.contacts,
+        {name: contact.without_cone() for name, contact in phase.contacts.items()},
         phase.tasks,
         phase.weights,
         TorqueLimit(-free, free, free, phase.torque.joints),
