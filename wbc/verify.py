@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from .build import Built, build
-from .controller import Controller, Memory, Phase
+from .controller import GOOD_TICKS, Controller, Memory, Phase, Status
 from .limit import TorqueLimit
 from .model import body_name, point_jacobian
 from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
@@ -137,7 +137,9 @@ class Oracle:
         self._random(states, seed, count)
 
     def _lifted(self, memory: Memory, controller: Controller, seen: Any, given: dict[str, Wrench]) -> Any:
-        self.free.memory = memory._replace(start=controller.memory.start, t=memory.t)  # type: ignore[union-attr]
+        # a law that let the robot fall into its safe hold is still the law that is asked for
+        ready = memory._replace(status=Status.OK, bad=0, good=GOOD_TICKS)
+        self.free.memory = ready._replace(start=controller.memory.start, t=memory.t)  # type: ignore[union-attr]
         return self.free.step(seen.t, seen.q, seen.v, measured=given)
 
     def _random(self, states: int, seed: int, count: bool) -> None:
