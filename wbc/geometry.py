@@ -11,11 +11,11 @@ import pinocchio as pin
 
 from . import spec as specs
 from .closing import Goal
-from .contact import AxesContact, Contact, MatrixContact, ScrewContact, WorldAxesContact
+from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
 from .faults import Faults, Place
 from .friction import unilateral
 from .qp import Array
-from .reference import Path, Reference, Scalar, ScrewPath, constant, hold, quintic, ramp, sine
+from .reference import Path, Reference, Scalar, ScrewPath, SpherePath, constant, hold, quintic, ramp, sine
 from .robot import Robot
 from .wrench import VELOCITY_AXES
 
@@ -110,6 +110,8 @@ class Geometry:
             return self._screws(name, entry, origin)
         if entry.kind == "A":
             return MatrixContact(entry.frame, np.array(entry.A or np.zeros((0, 6)))), hold(origin)
+        if entry.surface is not None and entry.surface.sphere is not None:
+            return self._sphere(name, entry, entry.surface.sphere.radius, origin, on)
         if entry.kind == "natural":
             self._check_table(name, entry, able)
         elif entry.holds != "all":
@@ -134,13 +136,28 @@ class Geometry:
         state, friction = self.robot.state(q, np.zeros(self.robot.nv)), entry.coulomb
         key = "friction" if entry.feedforward == "modelled" else "pushes"
         origin, on = self._on(name, entry, q)
-        place = None if on is None else origin.rotation
+        place = None if on is None or entry.surface is not None else origin.rotation
         with self.faults.at("contacts", name, key):
             if friction is None:
                 contact.pushes = unilateral(contact, state, d, push.least, place=place)
             else:
                 mu, faces, slip = friction.mu, friction.faces, friction.slip
                 contact.pushes = unilateral(contact, state, d, push.least, mu, faces, slip, path, place)
+
+    def _sphere(
+        self, name: str, entry: specs.Contact, radius: float, origin: pin.SE3, on: str | None
+    ) -> tuple[Contact, Reference]:
+        """The frame keeps its orientation, that of `on`, while what is drawn in the plane is lifted onto the sphere."""
+        path = ("contacts", name, "artificial", "motion")
+        if on is None:
+            message = (
+                f"no frame of the scene is named {name!r} or given by `on`; expected one, the centre of the sphere"
+            )
+            self.faults.add(("contacts", name), message)
+        drawn = entry.motion_targets.get("motion")
+        along = {axis: self._scalar(drawn, axis, path, on) for axis in (3, 4)} if drawn is not None else {}
+        curve = SpherePath(origin, radius, along.get(3, constant(0.0)), along.get(4, constant(0.0)))
+        return SphereContact(entry.frame, origin.translation), curve
 
     def _check_table(self, name: str, entry: specs.Contact, able: Sequence[str]) -> None:
         named = {*entry.constrained, *entry.free_axes}

@@ -98,6 +98,23 @@ def declared(numerics: Iterator[tuple[str, np.ndarray]]) -> dict[str, Surface]:
     return found
 
 
+def worst(surface: str, model: mujoco.MjModel, push: np.ndarray, speed: np.ndarray, points: np.ndarray) -> str:
+    """Where a run left the range in which its contacts hold, or "": push [N], speed [m/s] and points of every tick."""
+    pairs = pairs_of(model, surface)
+    touched = points > 0
+    if not pairs or not touched.any():
+        return ""
+    force, speed = push[touched] / points[touched], speed[touched]
+    at = int(np.argmax(speed / np.maximum(force, 1e-9)))
+    pair = pairs[0]
+    d, s, mu = model.pair_solimp[pair, 0], model.pair_solreffriction[pair, 0], model.pair_friction[pair, 0]
+    ratio = hop_ratio(mu, max(force[at], 1e-9), speed[at], d, s, invweight(model, pair))
+    if ratio <= VALID:
+        return ""
+    met = f"{push[touched][at]:.3g} N at {speed[at]:.3g} m/s, a ratio of {ratio:.2g}, expected at most {VALID:g}"
+    return f"surface {surface}: its simulated contact may hop or drag askew: it met {met}; declare it for these"
+
+
 def add_pairs(world: mujoco.MjSpec) -> None:
     """Explicit pairs of every declared surface with what can touch it. Raises ModelError."""
     for name, surface in declared((numeric.name, numeric.data) for numeric in world.numerics).items():

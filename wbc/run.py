@@ -6,7 +6,7 @@ import gc
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from . import material
 from .build import Built
 from .controller import Controller, Output, Status
 from .errors import SimulationError
@@ -77,7 +78,8 @@ def run(
         broken = str(error)
     finally:
         gc.unfreeze()
-    return Result(log, _summary(built, log, time.perf_counter() - began, broken))
+    notes = [*built.notes, *_validity(built, log, simulator.model)]
+    return Result(log, _summary(built, log, time.perf_counter() - began, broken, notes))
 
 
 def _loop(
@@ -157,7 +159,17 @@ def _meta(built: Built, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _summary(built: Built, log: Log, wall: float, broken: str) -> dict[str, Any]:
+def _validity(built: Built, log: Log, model: Any) -> Iterator[str]:
+    """Where the contact parameters of declared surfaces were not made for what the run did."""
+    late = log["t"] >= built.spec.expect.settle - 1e-9 if log.size else np.zeros(0, bool)
+    for name in sorted({name for phase in built.phases for name in phase.contacts if f"{name}.slip" in log}):
+        speed = np.linalg.norm(log[f"{name}.slip"][late], axis=1)
+        for surface in material.of_model(model):
+            if note := material.worst(surface, model, log[f"{name}.push"][late], speed, log[f"{name}.points"][late]):
+                yield note
+
+
+def _summary(built: Built, log: Log, wall: float, broken: str, notes: list[str]) -> dict[str, Any]:
     figures = metrics(log, built.phases, built.spec.expect.settle) if log.size else {}
     figures = {name: value for name, value in figures.items() if math.isfinite(value)}
     checks = _checks(built, figures)
@@ -173,7 +185,7 @@ def _summary(built: Built, log: Log, wall: float, broken: str) -> dict[str, Any]
         "checks": checks,
         "status": {name: count for name, count in status.items() if count},
         "step_us": dict(zip(("p50", "p99", "max"), us, strict=True)),
-        "notes": built.notes,
+        "notes": notes,
     }
     return summary | ({"broken": broken} if broken else {})
 

@@ -9,14 +9,24 @@ From the bottom up: `source` reads YAML, `fields` has the base class and the typ
 """
 
 from ..axes import RECIPROCAL, VELOCITY_AXES, WRENCH_AXES
-from .contact import Contact, FreeMotion, Friction, Push, Screw
+from .contact import NORMAL, Contact, FreeMotion, Friction, Push, Screw
 from .document import MAX_ENTRIES, Spec, json_schema, load
 from .fields import Model
 from .limit import Bound, Expect, Limits, Margin, Noise, Phase, Plant, Scale, Until
 from .reference import Circle, Curve, Hold, Line, Lissajous, Quintic, Reference
 from .task import ForceTask, MotionTask, PostureTask, Task
 
-__all__ = ["MAX_ENTRIES", "RECIPROCAL", "VELOCITY_AXES", "WRENCH_AXES", "Model", "Spec", "json_schema", "load"]
+__all__ = [
+    "MAX_ENTRIES",
+    "NORMAL",
+    "RECIPROCAL",
+    "VELOCITY_AXES",
+    "WRENCH_AXES",
+    "Model",
+    "Spec",
+    "json_schema",
+    "load",
+]
 __all__ += ["Circle", "Curve", "Hold", "Line", "Lissajous", "Quintic", "Reference"]
 __all__ += ["Contact", "ForceTask", "FreeMotion", "Friction", "MotionTask", "PostureTask", "Push", "Screw", "Task"]
 __all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until"]
