@@ -8,6 +8,7 @@ the contact knows better.
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple
@@ -16,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from .errors import WrenchError
+from .friction import Cone, Unilateral
 from .qp import Array, Rows
 from .robot import State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
@@ -39,6 +41,9 @@ class Held(NamedTuple):
     G: Array  # (k, nv)
     rhs: Array  # (k,)
     slip: Array  # (k,) A V, zero while the contact holds
+    B: Array  # (k, 6) B': the wrench of the robot on its environment is B lambda; A where friction is not modelled
+    push: Array  # (k, nv) B' J, so that the torque of the multipliers is push' lambda
+    cone: Cone | None = None  # inequalities on the multipliers, where the contact only pushes
 
     def unconstrained(self, F: Array) -> Array:
         """(6,) the part of a wrench that the constraint does not cause: F - A' (A')^+ F."""
@@ -49,12 +54,14 @@ class Contact(ABC):
     """Base of all contacts. `axes` names the multipliers; by default lambda1, lambda2, ...
 
     `feedforward`: "measured" counts the part of the measured wrench that the constraint does not cause (friction, the
-    load of a hinge) as known; "none" leaves it to the feedback.
+    load of a hinge) as known; "modelled" counts the drag of sliding friction into the contact's own wrench; "none"
+    leaves it to the feedback. `pushes`: the direction in which it only pushes, and friction across it.
     """
 
     frame: str
     k: int
     feedforward: str = "none"
+    pushes: Unilateral | None = None
 
     @abstractmethod
     def A(self, state: State) -> Array:
@@ -67,6 +74,22 @@ class Contact(ABC):
     def free(self, state: State) -> Array:
         """(6 - k, 6) rows that pick the free motion."""
         return complement(self.A(state))
+
+    def turn(self, state: State) -> Array | None:
+        """(3, 3) rotation from the axes in which the contact is given to those of `frame`; None: they are the same."""
+        return None
+
+    def known(self, state: State, held: Held, F: Array) -> Array:
+        """(6,) what of a measured wrench is fed forward: its part along the free axes, drag within the cone."""
+        free = held.unconstrained(F)
+        return free if self.pushes is None else self.pushes.capped(free, F, self.turn(state))
+
+    def without_cone(self) -> Contact:
+        """The same without its inequalities."""
+        if self.pushes is None:
+            return self
+        same, same.pushes = copy.copy(self), self.pushes.lifted()
+        return same
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -92,7 +115,9 @@ class Contact(ABC):
         rhs = bias[:k]
         if Adot_V is not None:
             rhs -= Adot_V
-        return Held(self.frame, A, Adot_V, free, inverse, table, bias, table[:k, :n], rhs, table[:k, n + 1])
+        G = table[:k, :n]
+        B, push, cone = (A, G, None) if self.pushes is None else self.pushes.hold(self, state, A, G, inverse)
+        return Held(self.frame, A, Adot_V, free, inverse, table, bias, G, rhs, table[:k, n + 1], B, push, cone)
 
     def rows(self, name: str, held: Held) -> Rows:
         """The hard rows A (J vdot + Jdot v) = -Adot V."""
@@ -186,8 +211,11 @@ class WorldAxesContact(AxesContact):
 
     hold = Contact.hold  # its rows turn with the frame
 
+    def turn(self, state: State) -> Array:
+        return np.asarray(state.frame(self.frame).T.rotation.T @ self._R)
+
     def _turned(self, rows: Array, state: State) -> Array:
-        X, R = np.zeros((6, 6)), self._R.T @ state.frame(self.frame).T.rotation
+        X, R = np.zeros((6, 6)), self.turn(state).T
         X[:3, :3] = X[3:, 3:] = R
         return rows @ X
 
@@ -273,6 +301,10 @@ class SphereContact(Contact):
         free = np.eye(6)[:5]
         free[3:, 3:] = np.delete(reflection, pole, axis=0)
         return free
+
+    def turn(self, state: State) -> Array:
+        """Two tangents, and z the outward normal."""
+        return np.vstack((self.free(state)[3:, 3:], self._normal(state)[0])).T
 
     def pseudo_inverse(self, A: Array) -> Array:
         return A  # its row is a unit vector

@@ -4,6 +4,13 @@
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
     CONTACT.peak, .pull                            largest force along its target, and against it, at any time [N]
     CONTACT.impact_error                           of the predicted peak of a touch, as a share of the true one [1]
+    CONTACT.corners                                least number of points of contact that carried a force
+  of a contact that `pushes`, and with `friction` the next three:
+    CONTACT.tilt                                   largest angle between the frame and the face it closes on [deg]
+    CONTACT.creep                                  where it sticks: largest speed across the push [m/s]
+    CONTACT.friction.angle                         where it slides, above 0.01 m/s: largest angle between the friction
+                                                   on the robot and minus its velocity [deg]
+    CONTACT.friction.mu_error                      there: largest error of |f_t|/f_n, relative to the surface's mu [1]
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
     TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
@@ -25,10 +32,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .contact import Contact
 from .log import Log
 from .qp import Array
 from .task import ForceTask, MotionTask
 
+SLIDING = 0.01  # [m/s] from which the direction of friction is judged
 ALWAYS = (
     "torque.max_excess", "torque.max_share", "torque_rate.max", "torque_rate.max_excess", "joint.max_excess",
     "ticks.not_ok", "ticks.limited", "ticks.degraded",
@@ -47,7 +56,8 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
                     for figure in ("rms_error", "max_error", "mean")
                 ]
                 names += [f"{task.contact}.{figure}" for figure in ("peak", "pull", "impact_error")]
-        names += [f"{contact}.lost" for contact in phase.contacts]
+        for name, contact in phase.contacts.items():
+            names += [f"{name}.{figure}" for figure in ("lost", "corners", *_of_push(contact))]
         for name, task in phase.tasks.items():
             if isinstance(task, MotionTask):
                 names += [f"{name}.{figure}" for figure in _MOTION]
@@ -89,8 +99,10 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         force = np.linalg.norm(log[f"{name}.true"], axis=1) > 0.0
         active = [name in phase.contacts for phase in phases]
         held = _late(log, active, 0.0)
-        touched = np.maximum.accumulate(force & held) & _late(log, active, settle)
+        late = _late(log, active, settle)
+        touched = np.maximum.accumulate(force & held) & late
         out[f"{name}.lost"] = float((touched & ~force).sum()) if held.any() else math.nan
+        out |= _push(log, name, next(phase.contacts[name] for phase in phases if name in phase.contacts), late)
     return out | _limits(log)
 
 
@@ -121,6 +133,44 @@ def _peaks(log: Log, name: str, linear: list[int]) -> dict[str, float]:
     predicted, steps = log[f"{name}.predicted_peak"], round(IMPACT / log.meta["dt"])
     true = {i: force[i : i + steps].max() for i in np.flatnonzero(np.isfinite(predicted))}
     return out | {f"{name}.impact_error": float(max(abs(predicted[i] / true[i] - 1.0) for i in true))} if true else out
+
+
+def _of_push(contact: Contact) -> tuple[str, ...]:
+    """Figures of a contact that only pushes."""
+    pushes = contact.pushes
+    if pushes is None:
+        return ()
+    tilt = () if pushes.place is None else ("tilt",)
+    if not pushes.mu:
+        return tilt
+    sliding = () if len(pushes.held) else ("friction.angle", "friction.mu_error")
+    return (*tilt, *(("creep",) if len(pushes.slides) == 0 else sliding))
+
+
+def _push(log: Log, name: str, contact: Contact, late: NDArray[np.bool_]) -> dict[str, float]:
+    points = log[f"{name}.points"]
+    touched = np.maximum.accumulate(points > 0) & late
+    out = {f"{name}.corners": float(points[touched].min()) if touched.any() else math.nan}
+    wanted = _of_push(contact)
+    if "tilt" in wanted:
+        out[f"{name}.tilt"] = float(np.degrees(_largest(log[f"{name}.tilt"][touched])))
+    if "creep" in wanted or "friction.angle" in wanted:
+        slip, drag, push = (log[f"{name}.{key}"][touched] for key in ("slip", "drag", "push"))
+        speed = np.linalg.norm(slip, axis=1)
+        if "creep" in wanted:
+            out[f"{name}.creep"] = _largest(speed)
+        else:
+            fast = (speed > SLIDING) & (push > 0.0)
+            slip, drag, push, mu = slip[fast], drag[fast], push[fast], log[f"{name}.mu"][touched][fast]
+            turned = slip[:, 0] * drag[:, 1] - slip[:, 1] * drag[:, 0]
+            angle = np.arctan2(np.abs(turned), (slip * drag).sum(axis=1))
+            out[f"{name}.friction.angle"] = float(np.degrees(_largest(angle)))
+            out[f"{name}.friction.mu_error"] = _largest(np.abs(np.linalg.norm(drag, axis=1) / push - mu) / mu)
+    return out
+
+
+def _largest(values: Array) -> float:
+    return float(values.max()) if values.size else math.nan
 
 
 def _errors(name: str, error: Array) -> dict[str, float]:

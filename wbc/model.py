@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from . import material
 from .errors import ModelError, ModelMismatch, did_you_mean
 from .qp import Array
 from .resources import shipped, shipped_names
@@ -84,6 +85,7 @@ def compose(
         mount = world.site("robot")
         place = {"site": mount} if mount is not None else {"frame": world.worldbody.add_frame()}
         world.attach(arm, prefix="", **place)
+        material.add_pairs(world)
         return world, keys
 
 
@@ -115,6 +117,7 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"MuJoCo refuses the model: {error}") from error
+    material.settle(model)
     for name in _FINITE:
         if not np.isfinite(getattr(model, name)).all():
             raise ModelError(f"the model holds a number that is not finite, in {name}")

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from . import material
 from .errors import ModelError, SimulationError
 from .model import quietly, to_pinocchio
 from .qp import Array
@@ -26,13 +27,21 @@ class Observation(NamedTuple):
     v: Array
 
 
-class Touch(NamedTuple):
+class Impact(NamedTuple):
     """A point that touches: MuJoCo's contact is a_n = -b v_n - k r wherever the force, less a_n R f, allows it."""
 
     normal: Array  # (3,) world, from the robot into its environment
     stiffness: float  # k [1/s^2]
     damping: float  # b [1/s]
     regularisation: float  # R [1/kg]
+
+
+class Touch(NamedTuple):
+    """What a body of the robot applied to its environment in a tick."""
+
+    F: Array  # (6,) in the axes of the frame asked for
+    points: int  # points of contact with a force along their normal
+    mu: float  # their coefficient of friction, 0 without
 
 
 class Simulator:
@@ -104,9 +113,9 @@ class Simulator:
             reading[3:] += self._rng.normal(0.0, 1.0, 3) * self._noise.force
         return self._sensor.compensated(reading, state, vdot)
 
-    def touch(self, frame: str) -> Touch | None:
+    def impact(self, frame: str) -> Impact | None:
         """The one point in which the body of `frame` touches its environment; None where there are none or several."""
-        body, found = self._body(frame), list[Touch]()
+        body, found = self._body(frame), list[Impact]()
         for i in range(self.data.ncon):
             contact = self.data.contact[i]
             owners = [self.model.geom_bodyid[g] for g in contact.geom]
@@ -114,7 +123,7 @@ class Simulator:
                 stiffness, damping, impedance, _ = self.data.efc_KBIP[contact.efc_address]
                 normal = contact.frame[:3] * (1.0 if owners[0] == body else -1.0)
                 R = float(self.data.efc_R[contact.efc_address])
-                found.append(Touch(normal, float(stiffness * impedance), float(damping), R))
+                found.append(Impact(normal, float(stiffness * impedance), float(damping), R))
         return found[0] if len(found) == 1 else None
 
     def _body(self, frame: str) -> int:
@@ -122,26 +131,32 @@ class Simulator:
 
     def true_wrench(self, frame: str) -> Array:
         """(6,) what the body of `frame` applied to its environment in the last tick, in that frame; unfiltered."""
+        return self.true_touch(frame).F
+
+    def true_touch(self, frame: str) -> Touch:
+        """The true wrench of the body of `frame` with what a wrench cannot tell."""
         body = self._body(frame)
         if _has_site(self.model, frame):
             site = self.model.site(frame)
             R, p = self.data.site_xmat[site.id].reshape(3, 3), self.data.site_xpos[site.id]
         else:
             R, p = self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
-        F, force = np.zeros(6), np.zeros(6)
+        F, force, points, mu = np.zeros(6), np.zeros(6), 0, 0.0
         for i in range(self.data.ncon):
             contact = self.data.contact[i]
             owners = [self.model.geom_bodyid[g] for g in contact.geom]
             if (owners[0] == body) == (owners[1] == body):
                 continue
             mujoco.mj_contactForce(self.model, self.data, i, force)
+            if force[0] > 0.0:
+                points, mu = points + 1, max(mu, float(contact.friction[0]) if contact.dim > 1 else 0.0)
             # the contact frame's force acts on the second geom
             sign = 1.0 if owners[0] == body else -1.0
             axes = contact.frame.reshape(3, 3)
             f, m = sign * (axes.T @ force[:3]), sign * (axes.T @ force[3:])
             F[:3] += R.T @ (m + np.cross(contact.pos - p, f))
             F[3:] += R.T @ f
-        return F
+        return Touch(F, points, mu)
 
 
 def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:
@@ -171,6 +186,7 @@ def _changed(robot: Robot, plant: Any) -> mujoco.MjModel:
         touching = (model.geom_contype | model.geom_conaffinity) > 0
         model.geom_friction[touching, 0] = plant.contact_friction
         model.geom_condim[touching] = 3
+        material.settle(model, plant.contact_friction)
     with quietly():
         mujoco.mj_setConst(model, mujoco.MjData(model))
     return model

@@ -147,6 +147,7 @@ class ForceLoop(NamedTuple):
     last: Array | None = None  # (k,) what they took in the last tick
     error: Array = _NOTHING
     command: Array = _NOTHING  # (k,) the multipliers asked for
+    cut: str = ""  # what took from the target or the command because the world only pushes: push or friction
 
 
 _NEW_LOOP = ForceLoop()
@@ -256,7 +257,9 @@ class ForceTask:
 
     def rows(self, state: State) -> Rows:
         held: Held = state.contacts[self.contact]
-        command = self.desired(state)
+        command, cut = self.desired(state), ""
+        if held.cone is not None:
+            command, cut = held.cone.cut(command)  # a target that no contact could answer is no error
         filtered, integral, yielded, error = self.sense(state, command)
         G, _, K = state.primary
         k = command.size
@@ -274,7 +277,11 @@ class ForceTask:
             command = command.copy()
             kernels.feedback(self._K, error, integral, command)
             kernels.feedback(self._minus_K_damp, held.slip, _NOTHING, command)
-        state.loops[self.contact] = ForceLoop(filtered, integral, yielded, None, error, command)
+        asked = command
+        if held.cone is not None:
+            command, short = held.cone.cut(asked)
+            cut = cut or short
+        state.loops[self.contact] = ForceLoop(filtered, integral, yielded, None, error, asked, cut)
         return Rows("", {self.contact: None}, command, command, metric)
 
     def advance(self, state: State, lam: Array) -> ForceLoop:

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from .build import Built, build
-from .controller import Controller, Memory, Phase
+from .controller import Controller, Memory, Phase, Status
 from .limit import TorqueLimit
 from .model import body_name, point_jacobian
 from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
@@ -118,6 +118,8 @@ class Oracle:
         controller, certificate = self.built.controller, self.certificate
 
         def tick(seen: Any, out: Any) -> None:
+            if out.status in (Status.SAFE_HOLD, Status.STOPPED):
+                return  # no law runs any more
             memory, contacts, measured = controller.recalled, controller.phase.contacts, controller.state.measured
             given = {name: Wrench(F, contacts[name].frame) for name, F in measured.items() if name in contacts}
             if out.active or out.status.name != "OK":
@@ -244,4 +246,6 @@ def _carrier(robot: Robot, name: str) -> tuple[int, pin.SE3]:
 def _unlimited(phase: Phase) -> Phase:
     n = phase.torque.low.size
     free = np.full(n, np.inf)
-    return replace(phase, torque=TorqueLimit(-free, free, free, phase.torque.joints), joint=None, exit=None)
+    contacts = {name: contact.without_cone() for name, contact in phase.contacts.items()}
+    torque = TorqueLimit(-free, free, free, phase.torque.joints)
+    return replace(phase, contacts=contacts, torque=torque, joint=None, exit=None)
