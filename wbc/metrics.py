@@ -101,10 +101,7 @@ def _pressed(task: Any) -> str | None:
 
 def _late(log: Log, active: Sequence[bool], settle: float) -> NDArray[np.bool_]:
     """(N,) ticks of the active phases, less `settle` [s] after each time that they begin."""
-    on, t = np.array(active)[log["phase"].astype(int)], log["t"]
-    begins = on & ~np.concatenate(([False], on[:-1]))
-    since = t - np.maximum.accumulate(np.where(begins, t, -np.inf))
-    return np.asarray(on & (since >= settle - 1e-9))
+    return log.late(np.array(active)[log["phase"].astype(int)], settle)
 
 
 def _peaks(log: Log, name: str, linear: list[int]) -> dict[str, float]:
