@@ -21,6 +21,7 @@ SPECS: dict[str, dict[str, float]] = {
     },
     "eraser_noisy": {"board.fz.rms_error": 0.05},  # sensor noise of 0.2 N
     "eraser_weak": {"board.fz.max_error": 2.0, "draw.speed.max": 0.5, "board.lost": 0},
+    "polish_sphere": {"dome.normal.rms_error": 0.005, "polish.position.rms_error": 8e-5},
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
 }
 
@@ -39,3 +40,6 @@ WEAK_OVERSHOOT, WEAK_RECOVERY = 0.10, 0.5  # of the step, [s]
 # of this kind of machine; measured by benchmarks/tick.py, never asserted in a timed test
 TICK_MEDIAN_US = 150.0
 HELP_SECONDS = 0.5
+
+# polish_sphere: Lam Adot V of the book's law against the force, its prediction, and what compensation leaves
+SPHERE_BIAS, SPHERE_PREDICTED, SPHERE_COMPENSATED = 0.10, 0.01, 1e-3

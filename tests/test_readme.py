@@ -8,6 +8,7 @@ from pathlib import Path
 import yaml
 from click.testing import CliRunner
 
+from wbc import analytic
 from wbc.cli import main
 from wbc.resources import shipped_folder, shipped_names
 
@@ -79,3 +80,16 @@ def test_the_example_loop_reaches_the_new_target():
     example: dict = {"__name__": "example"}
     exec(compile((ROOT / "examples" / "loop.py").read_text(), "loop.py", "exec"), example)
     assert abs(example["main"](2.0) + 12.0) < 0.05
+
+
+def test_the_table_of_the_chapter_is_whole_and_true():
+    table = README.split("## The chapter, equation by equation")[1].split("\n## ")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines() if line.startswith("| ")][
+        1:
+    ]
+    functions, tests, specs = (set(re.findall(r"`([^`]+)`", " ".join(row[i] for row in rows))) for i in (1, 2, 3))
+    assert functions == {name for name in analytic.__all__ if name not in ("Array", "Law")}
+    for test in tests:
+        file, _, group = test.partition("::")
+        assert f"class {group}" in (ROOT / "tests" / file).read_text() if group else (ROOT / "tests" / file).exists()
+    assert specs <= set(shipped_names("tasks", ".yaml"))

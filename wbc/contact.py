@@ -8,6 +8,7 @@ the contact knows better.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
@@ -18,6 +19,8 @@ from .errors import WrenchError
 from .qp import Array, Rows
 from .robot import State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
+
+_ZERO = np.zeros(3)
 
 
 class Held(NamedTuple):
@@ -241,7 +244,8 @@ class ScrewContact(Contact):
 class SphereContact(Contact):
     """The origin of the frame stays on a sphere around `centre` c [m, world]: a row along n = (p - c)/|p - c|.
 
-    A = [0, n' R];   Adot V = n' R (w x v) + ndot' R v   with   ndot = (I - n n') R v / |p - c|.
+    A = [0, n' R];   Adot V = n' R (w x v) + ndot' R v   with   ndot = (I - n n') R v / |p - c|. Its multiplier is the
+    force of the robot on the sphere along the outward normal: pressing is negative.
     """
 
     k = 1
@@ -249,17 +253,35 @@ class SphereContact(Contact):
     def __init__(self, frame: str, centre: Array) -> None:
         self.frame, self._centre = frame, np.array(centre, float)
 
-    def A(self, state: State) -> Array:
+    def _normal(self, state: State) -> tuple[Array, float]:
+        """n in the axes of the frame, and the distance from the centre."""
         T = state.frame(self.frame).T
-        n = T.translation - self._centre
-        return np.concatenate((np.zeros(3), T.rotation.T @ (n / np.linalg.norm(n))))[None]
+        from_centre = T.rotation.T @ (T.translation - self._centre)
+        radius = math.sqrt(from_centre @ from_centre)
+        return from_centre / radius, radius
+
+    def A(self, state: State) -> Array:
+        return np.concatenate((_ZERO, self._normal(state)[0]))[None]
+
+    def free(self, state: State) -> Array:
+        """The rotations, then the two tangents that a reflection of the frame's axes onto n leaves."""
+        n, _ = self._normal(state)
+        pole = int(np.abs(n).argmax())
+        u = n.copy()
+        u[pole] += math.copysign(1.0, n[pole])
+        reflection = np.eye(3) - np.outer(u, u) * (2.0 / (u @ u))
+        free = np.eye(6)[:5]
+        free[3:, 3:] = np.delete(reflection, pole, axis=0)
+        return free
+
+    def pseudo_inverse(self, A: Array) -> Array:
+        return A  # its row is a unit vector
 
     def Adot_V(self, state: State) -> Array:
-        frame = state.frame(self.frame)
-        n = frame.T.translation - self._centre
-        radius = np.linalg.norm(n)
-        n, w, v = frame.T.rotation.T @ n / radius, frame.V[:3], frame.V[3:]
-        return np.array([n @ np.cross(w, v) + (v @ v - (n @ v) ** 2) / radius])
+        (w0, w1, w2, v0, v1, v2), v = state.frame(self.frame).V.tolist(), state.frame(self.frame).V[3:]
+        n, radius = self._normal(state)
+        turning = n @ (w1 * v2 - w2 * v1, w2 * v0 - w0 * v2, w0 * v1 - w1 * v0)
+        return np.array([turning + (v @ v - (n @ v) ** 2) / radius])
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from . import quantity
 from . import spec as specs
 from .closing import Goal
-from .contact import AxesContact, Contact, MatrixContact, ScrewContact, WorldAxesContact
+from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
 from .faults import Faults, Place
 from .qp import Array
-from .reference import Hold, Path, Reference, Scalar, ScrewPath, constant, hold, quintic, ramp, sine
+from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, constant, hold, quintic, ramp, sine
 from .robot import Robot
+from .transition import Reading
 from .wrench import VELOCITY_AXES
 
 SELF = "self"  # of a reference: it goes out from wherever its frame is
@@ -113,12 +115,14 @@ class Geometry:
             return self.robot.fixed_pose(on), on
         return self.robot.state(q, np.zeros(self.robot.nv)).frame(contact.frame).T, None
 
-    def normal(self, name: str, q: Array) -> tuple[str, pin.SE3, int | None]:
-        """The frame of a contact, where it is held, and the one linear axis 0 .. 2 of that along which it is."""
+    def distance(self, name: str, q: Array) -> Reading | None:
+        """How far the frame of a contact is from where it is held; None where it is not held along one direction."""
         entry = self.spec.contacts[name]
-        linear = [axis for axis in entry.constrained if axis[0] == "v"]
         place, _ = self._on(name, entry, q)
-        return entry.frame, place, VELOCITY_AXES.index(linear[0]) - 3 if len(linear) == 1 else None
+        if entry.surface is not None and entry.surface.sphere is not None:
+            return quantity.from_sphere(entry.frame, place.translation, entry.surface.sphere.radius)
+        linear = [VELOCITY_AXES.index(axis) - 3 for axis in entry.constrained if axis[0] == "v"]
+        return quantity.from_plane(entry.frame, place, linear[0]) if len(linear) == 1 else None
 
     def _contact(self, name: str, entry: specs.Contact, q: Array) -> tuple[Contact, Reference]:
         origin, on = self._on(name, entry, q)
@@ -127,6 +131,8 @@ class Geometry:
             return self._screws(name, entry, origin)
         if entry.kind == "A":
             return MatrixContact(entry.frame, np.array(entry.A or np.zeros((0, 6)))), hold(origin)
+        if entry.surface is not None and entry.surface.sphere is not None:
+            return self._sphere(name, entry, entry.surface.sphere.radius, origin, on)
         if entry.kind == "natural":
             self._check_table(name, entry, able)
         elif entry.holds != "all":
@@ -142,6 +148,22 @@ class Geometry:
             target = entry.motion_targets.get(axis, 0.0)
             along[component] = self._scalar(target, component, path, on or "world")
         return contact, Path(origin, along, ends=self._ends(entry))
+
+    def _sphere(
+        self, name: str, entry: specs.Contact, radius: float, origin: pin.SE3, on: str | None
+    ) -> tuple[Contact, Reference]:
+        """The frame keeps its orientation, that of `on`, while what is drawn in the plane is lifted onto the sphere."""
+        path = ("contacts", name, "artificial", "motion")
+        if on is None:
+            message = (
+                f"no frame of the scene is named {name!r} or given by `on`; expected one, the centre of the sphere"
+            )
+            self.faults.add(("contacts", name), message)
+        drawn = entry.motion_targets.get("motion")
+        along = {axis: self._scalar(drawn, axis, path, on) for axis in (3, 4)} if drawn is not None else {}
+        x, y = (along.get(axis, constant(0.0)) for axis in (3, 4))
+        curve = SpherePath(origin, radius, x, y, self._ends(entry))
+        return SphereContact(entry.frame, origin.translation), curve
 
     def _check_table(self, name: str, entry: specs.Contact, able: Sequence[str]) -> None:
         named = {*entry.constrained, *entry.free_axes}

@@ -100,7 +100,9 @@ def _blocks(log: Log) -> list[Block]:
     blocks = []
     for contact, axes in log.meta.get("contacts", {}).items():
         if f"{contact}.lam" in log:
-            units = [{"m": "N m", "f": "N"}.get(axis[0], "") if len(axis) == 2 else "" for axis in axes]
+            units = [
+                {"m": "N m", "f": "N"}.get(axis[0], "") if len(axis) == 2 else "N" * (axis == "normal") for axis in axes
+            ]
             blocks += [(contact, unit, [i for i, u in enumerate(units) if u == unit]) for unit in dict.fromkeys(units)]
     return blocks
 

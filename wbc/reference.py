@@ -147,6 +147,25 @@ def seen_from(T: pin.SE3, motion: Array) -> Array:
     return T.inverse().toActionMatrix()[_ANGULAR_FIRST] @ motion
 
 
+class SpherePath:
+    """Motion on a sphere around the fixed pose `origin`, in its orientation: x(t) and y(t), and z of the upper half.
+
+    z^2 = r^2 - x^2 - y^2, so that z zdot = -(x xdot + y ydot), and its derivative.
+    """
+
+    def __init__(self, origin: pin.SE3, radius: float, x: Scalar, y: Scalar, ends: float = math.inf) -> None:
+        self._origin, self.radius, self._x, self._y, self.ends = origin.copy(), radius, x, y, ends
+
+    def __call__(self, t: float) -> Sample:
+        (x, vx, ax), (y, vy, ay) = self._x(t), self._y(t)
+        z = math.sqrt(max(self.radius**2 - x * x - y * y, 1e-12))
+        vz = -(x * vx + y * vy) / z
+        az = -(vx * vx + x * ax + vy * vy + y * ay + vz * vz) / z
+        motion = np.zeros((6, 2))
+        motion[3:] = (vx, ax), (vy, ay), (vz, az)
+        return Sample(self._origin * pin.SE3(np.eye(3), np.array([x, y, z])), motion)
+
+
 class ScrewPath:
     """Motion along screws (6,) of the fixed pose `origin`: T_d = origin exp([S_1] s_1(t)) ... start."""
 

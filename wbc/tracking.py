@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from . import spec as specs
-from .contact import AxesContact, Contact
+from .contact import AxesContact, Contact, SphereContact
 from .geometry import Geometry
 from .qp import Array
 from .reference import Reference, Scalar, constant
@@ -75,7 +75,7 @@ class Tracking:
             return None
         kp, ki, damping = (self._gain(entry, name, key, contact.axes) for key in ("kp", "ki", "damping"))
         limit = math.inf if entry.integral_limit is None else entry.integral_limit
-        wrench = not isinstance(contact, AxesContact)
+        wrench = not isinstance(contact, AxesContact | SphereContact)  # their multipliers have names
         return ForceTask(
             entry.contact, contact, target, kp, ki, damping, entry.filter, limit, self.geometry.spec.law, wrench
         )
@@ -84,6 +84,9 @@ class Tracking:
         """lambda_d (k,) of a table, else the wrench (6,), or a function of time. Raises WrenchError for what the
         contact cannot carry."""
         given = self.geometry.spec.contacts[name].wrench_targets
+        if isinstance(contact, SphereContact):
+            held = [self.geometry.force(name, axis, given[axis]) for axis in contact.axes]
+            return _stacked(held) if any(isinstance(value, str) for value in given.values()) else _stacked(held)(0.0)
         scalars = {WRENCH_AXES.index(axis): self.geometry.force(name, axis, value) for axis, value in given.items()}
         state = self.geometry.robot.state(self.geometry.robot.keyframes["home"], np.zeros(self.geometry.robot.nv))
         if isinstance(contact, AxesContact):  # the table's own axes: they are the multipliers

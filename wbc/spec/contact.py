@@ -18,6 +18,7 @@ from .fields import (
     Name,
     Number,
     OneOf,
+    Positive,
     Target,
     Text,
     Vec3,
@@ -29,6 +30,7 @@ from .fields import (
 )
 from .source import Message
 
+NORMAL = ("normal",)  # the multiplier of a surface: the force [N] along its outward normal
 XYZ = Annotated[Literal["x", "y", "z"], Tag("<name>")]
 Direction = Annotated[XYZ | Annotated[Vec3, Tag("<list>")], either("x, y, z or a list of three numbers")]
 
@@ -51,6 +53,20 @@ class FreeMotion(Model):
     screw: Screw = Field(description="the screw axis of the motion")
 
 
+class Sphere(Model):
+    """A sphere around a frame of the scene."""
+
+    radius: Positive = Field(description="distance that the contact frame keeps from the centre [m]")
+
+
+class Surface(OneOf):
+    """A curved surface that the frame slides on: exactly one kind."""
+
+    kinds: ClassVar = ("sphere",)
+
+    sphere: Sphere | None = Field(default=None, description="a sphere; its centre is the frame that is closed against")
+
+
 def _zero(value: float) -> float:
     if value != 0:
         raise wrong(f"expected 0, as A V = 0 and no wrench acts along what is free, got {value:g}")
@@ -64,9 +80,9 @@ Artificial = Annotated[ANumber | AName | Wrench, either("a number or the name of
 
 
 class Contact(OneOf):
-    """How the world holds a frame of the robot, by exactly one of natural, free, holds and A."""
+    """How the world holds a frame of the robot, by exactly one of natural, free, holds, A and surface."""
 
-    kinds: ClassVar = ("natural", "free", "holds", "A")
+    kinds: ClassVar = ("natural", "free", "holds", "A", "surface")
 
     frame: Text = Field(description="the name of the frame of the robot or tool that is held")
     on: Text | None = Field(
@@ -79,6 +95,9 @@ class Contact(OneOf):
     free: dict[Name, FreeMotion] | None = Field(default=None, description="free screws, of which A is the annihilator")
     holds: Axes | None = Field(default=None, description="velocity axes that are held, or all")
     A: tuple[Row, ...] | None = Field(default=None, max_length=6, description="rows of A V = 0, angular part first")
+    surface: Surface | None = Field(
+        default=None, description="a curved surface that holds the frame along its outward normal"
+    )
     feedforward: Literal["none", "measured"] = Field(
         default="none", description="measured: the measured wrench along the free axes counts as known"
     )
@@ -107,15 +126,17 @@ class Contact(OneOf):
     @property
     def wrench_targets(self) -> dict[str, float | str]:
         """Desired wrench on the environment by wrench axis [N m, N], in canonical order."""
-        column = self.artificial if self.natural is not None else self.artificial.get("wrench")
+        table = self.natural is not None or self.surface is not None
+        column = self.artificial if table else self.artificial.get("wrench")
         given: Mapping[Any, Any] = column if isinstance(column, dict) else {}
-        return {axis: given[axis] for axis in WRENCH_AXES if not isinstance(given.get(axis, {}), dict)}
+        axes = NORMAL if self.surface is not None else WRENCH_AXES
+        return {axis: given[axis] for axis in axes if not isinstance(given.get(axis, {}), dict)}
 
     @property
     def motion_targets(self) -> dict[str, float | str]:
         """Desired motion by free velocity axis or screw [rad/s, m/s, or a reference]."""
         order = dict.fromkeys([*self.free_axes, *self.artificial])
-        given = {name: self.artificial.get(name, {}) for name in order if name not in WRENCH_AXES}
+        given = {name: self.artificial.get(name, {}) for name in order if name not in WRENCH_AXES + NORMAL}
         return {name: value for name, value in given.items() if not isinstance(value, dict)}
 
     @property
@@ -124,13 +145,26 @@ class Contact(OneOf):
 
     def gain_names(self, task: str) -> tuple[str, ...] | None:
         """What the entries of a gain of a force or motion task stand for; None where only the robot can tell."""
+        if self.surface is not None:
+            return NORMAL if task == "force" else None
         if task == "force":
             rows = tuple(f"row {i}" for i in range(len(self.A or ())))
             return rows or (self.force_axes if self.holds != "all" and self.free is None else None)
         return self.free_axes if self.natural is not None or self.free is not None else None
 
     def _faults(self) -> Iterable[Message]:
-        return list(super()._faults()) or (self._table() if self.kind == "natural" else self._entries())
+        rules = {"natural": self._table, "surface": self._of_surface}
+        return list(super()._faults()) or rules.get(self.kind, self._entries)()
+
+    def _of_surface(self) -> Iterator[Message]:
+        """A surface holds the frame along its normal, and leaves one motion on it."""
+        for name, value in self.artificial.items():
+            if name not in (*NORMAL, "motion"):
+                yield ("artificial", name), f"unknown target{did_you_mean(name, (*NORMAL, 'motion'))}"
+            elif isinstance(value, dict):
+                yield ("artificial", name), "expected a number or the name of a reference, got a mapping"
+            elif name == "motion" and not isinstance(value, str):
+                yield ("artificial", name), f"expected the name of a reference, got {shown(value)}"
 
     def _table(self) -> Iterator[Message]:
         """Of every pair that the table names: one natural and one artificial entry, reciprocal (book 11.6)."""
