@@ -73,7 +73,7 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         for i, axis in enumerate(task.axes):
             out |= _errors(f"{name}.{axis}", (lam - target)[late, i])
             out[f"{name}.{axis}.mean"] = float(lam[late, i].mean()) if late.any() else math.nan
-        out |= _peaks(log, name, [i for i, axis in enumerate(task.axes) if axis[0] == "f"])
+        out |= _peaks(log, name, [i for i, axis in enumerate(task.axes) if axis[0] == "f" or axis == "normal"])
     for name in [name for name, task in tasks.items() if isinstance(task, MotionTask)]:
         if f"{name}.error" not in log:
             continue

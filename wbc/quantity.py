@@ -29,10 +29,16 @@ def force(contact: str, axis: int) -> Reading:
     return read
 
 
-def distance(frame: str, place: pin.SE3, axis: int) -> Reading:
+def from_plane(frame: str, place: pin.SE3, axis: int) -> Reading:
     """How far a frame is beyond `place`, along axis 0 .. 2 of that pose [m]."""
     normal, origin = place.rotation[:, axis].copy(), float(place.rotation[:, axis] @ place.translation)
     return lambda state: float(normal.dot(state.frame(frame).T.translation)) - origin
+
+
+def from_sphere(frame: str, centre: Array, radius: float) -> Reading:
+    """How far a frame is outside of a sphere [m]."""
+    centre = centre.copy()
+    return lambda state: float(np.linalg.norm(state.frame(frame).T.translation - centre)) - radius
 
 
 def error(task: MotionTask) -> Reading:

@@ -26,7 +26,7 @@ class Observation(NamedTuple):
     v: Array
 
 
-class Touch(NamedTuple):
+class Impact(NamedTuple):
     """A point that touches: MuJoCo's contact is a_n = -b v_n - k r wherever the force, less a_n R f, allows it."""
 
     normal: Array  # (3,) world, from the robot into its environment
@@ -104,9 +104,9 @@ class Simulator:
             reading[3:] += self._rng.normal(0.0, 1.0, 3) * self._noise.force
         return self._sensor.compensated(reading, state, vdot)
 
-    def touch(self, frame: str) -> Touch | None:
+    def impact(self, frame: str) -> Impact | None:
         """The one point in which the body of `frame` touches its environment; None where there are none or several."""
-        body, found = self._body(frame), list[Touch]()
+        body, found = self._body(frame), list[Impact]()
         for i in range(self.data.ncon):
             contact = self.data.contact[i]
             owners = [self.model.geom_bodyid[g] for g in contact.geom]
@@ -114,7 +114,7 @@ class Simulator:
                 stiffness, damping, impedance, _ = self.data.efc_KBIP[contact.efc_address]
                 normal = contact.frame[:3] * (1.0 if owners[0] == body else -1.0)
                 R = float(self.data.efc_R[contact.efc_address])
-                found.append(Touch(normal, float(stiffness * impedance), float(damping), R))
+                found.append(Impact(normal, float(stiffness * impedance), float(damping), R))
         return found[0] if len(found) == 1 else None
 
     def _body(self, frame: str) -> int:
