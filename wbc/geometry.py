@@ -147,7 +147,8 @@ class Geometry:
             component, path = VELOCITY_AXES.index(axis), ("contacts", name, "artificial", axis)
             target = entry.motion_targets.get(axis, 0.0)
             along[component] = self._scalar(target, component, path, on or "world")
-        return contact, Path(origin, along, ends=self._ends(entry))
+        drawn = frozenset(VELOCITY_AXES.index(axis) for axis in free if self._drawn(entry.motion_targets.get(axis)))
+        return contact, Path(origin, along, ends=self._ends(entry), placed=drawn)
 
     def _sphere(
         self, name: str, entry: specs.Contact, radius: float, origin: pin.SE3, on: str | None
@@ -189,7 +190,12 @@ class Geometry:
             target, path = entry.motion_targets.get(label, 0.0), ("contacts", name, "artificial", label)
             scalars.append(self._scalar(target, component, path, None))
         contact = ScrewContact(entry.frame, np.array(screws).reshape(-1, 6), origin, tuple(entry.free or ()))
-        return contact, ScrewPath(origin, screws, scalars, pin.SE3.Identity(), self._ends(entry))
+        drawn = any(map(self._drawn, entry.motion_targets.values()))
+        return contact, ScrewPath(origin, screws, scalars, pin.SE3.Identity(), self._ends(entry), not drawn)
+
+    def _drawn(self, target: float | str | None) -> bool:
+        """Whether a target of motion has places, not only a speed."""
+        return isinstance(target, str) and self.spec.references[target].kind != "hold"
 
     def _ends(self, entry: specs.Contact) -> float:
         """When all motion of a contact has come to rest for good [s]."""

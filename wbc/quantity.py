@@ -4,6 +4,8 @@ CONTACT.AXIS       wrench of the robot on the environment, at the contact's fram
 CONTACT.distance   of its frame from where the contact holds it, along the axis that it holds [m]
 TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s]
 TASK.done          1 when the reference, and what led into it, have come to rest for good
+
+All of them are true of the robot's model and of the sensor, as the controller knows them.
 """
 
 from __future__ import annotations
