@@ -179,6 +179,8 @@ def _stability(
             advice = "lower it on the axes of small inertia, or raise the rate"
             faults.add(("tasks", name, "damping"), f"damping is unstable at this rate: {bound}; {advice}")
             continue
+        if not (Kp.any() or Ki.any()):
+            continue  # an open loop has no poles of its own
         found = force_poles(task.contact, contact.axes, masses, Kp, Ki, D, alpha, dt, delay)
         poles += found
         worst = max(found, key=lambda pole: pole.radius, default=None)

@@ -1,9 +1,11 @@
 """The vocabulary of measured quantities: what `expect` bounds and `summary.json` reports, all true, every tick.
 
     CONTACT.AXIS.rms_error, .max_error, .mean      wrench of the robot on the environment against its target [N, N m]
+        of screws and matrices also along the wrench axes mx ... fz, of what the constraint causes: A' lambda
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
+    TASK.SCREW.rms_error, .max_error               distance along a free screw of the contact [rad; m of a slide]
     TASK.speed.max                                 speed of the task frame [m/s]
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
@@ -24,6 +26,7 @@ import numpy as np
 from .log import Log
 from .qp import Array
 from .task import ForceTask, MotionTask
+from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 ALWAYS = (
     "torque.max_excess", "torque.max_share", "torque_rate.max", "torque_rate.max_excess", "joint.max_excess",
@@ -39,17 +42,23 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
             if isinstance(task, ForceTask):
                 names += [
                     f"{task.contact}.{axis}.{figure}"
-                    for axis in task.axes
+                    for axis in (*task.axes, *(WRENCH_AXES if task.wrench else ()))
                     for figure in ("rms_error", "max_error", "mean")
                 ]
         names += [f"{contact}.lost" for contact in phase.contacts]
         for name, task in phase.tasks.items():
             if isinstance(task, MotionTask):
                 names += [f"{name}.{figure}" for figure in _MOTION]
+                names += [f"{name}.{screw}.{figure}" for screw in _screws(task) for figure in ("rms_error", "max_error")]
     return sorted(set(names))
 
 
 _MOTION = ("position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max")
+
+
+def _screws(task: MotionTask) -> tuple[str, ...]:
+    """Names of the free screws that a task moves along; the axes of a frame are in the figures of its pose."""
+    return () if task.contact is None or set(task.axes) <= set(VELOCITY_AXES) else task.axes
 
 
 def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
@@ -59,15 +68,20 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
     for phase in phases:
         for name, task in phase.tasks.items():
             if isinstance(task, ForceTask):
-                error = (log[f"{task.contact}.lam"] - log[f"{task.contact}.target"])[late]
-                mean = log[f"{task.contact}.lam"][late]
-                for i, axis in enumerate(task.axes):
-                    out |= _errors(f"{task.contact}.{axis}", error[:, i])
-                    out[f"{task.contact}.{axis}.mean"] = float(mean[:, i].mean()) if late.any() else math.nan
+                pairs = [("lam", "target", task.axes)]
+                pairs += [("carried", "wanted", WRENCH_AXES)] if task.wrench else []  # where both have names, this
+                for got, wanted, axes in pairs:
+                    value = log[f"{task.contact}.{got}"][late]
+                    error = value - log[f"{task.contact}.{wanted}"][late]
+                    for i, axis in enumerate(axes):
+                        out |= _errors(f"{task.contact}.{axis}", error[:, i])
+                        out[f"{task.contact}.{axis}.mean"] = float(value[:, i].mean()) if late.any() else math.nan
             elif isinstance(task, MotionTask):
                 error = log[f"{name}.error"][late]
                 out |= _errors(f"{name}.position", np.linalg.norm(error[:, 3:], axis=1))
                 out |= _errors(f"{name}.rotation", np.linalg.norm(error[:, :3], axis=1))
+                for i, screw in enumerate(_screws(task)):
+                    out |= _errors(f"{name}.{screw}", log[f"{name}.along"][late][:, i])
                 out[f"{name}.speed.max"] = float(log[f"{name}.speed"][late].max()) if late.any() else math.nan
         for contact in phase.contacts:
             force = np.linalg.norm(log[f"{contact}.true"], axis=1) > 0.0

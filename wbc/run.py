@@ -123,15 +123,17 @@ def _record(
         held = state.contacts[name]
         row |= {f"{name}.true": wrench, f"{name}.lam": held.inverse @ wrench}
         row[f"{name}.predicted"] = out.wrenches.get(name, np.full(6, np.nan))
+        row[f"{name}.carried"] = held.A.T @ row[f"{name}.lam"]
         row[f"{name}.measured"] = state.measured.get(name, np.full(6, np.nan))
     for name, task in phase.tasks.items():
         if isinstance(task, ForceTask):
             row[f"{task.contact}.target"] = task.desired(state)
+            row[f"{task.contact}.wanted"] = state.contacts[task.contact].A.T @ row[f"{task.contact}.target"]
         elif isinstance(task, MotionTask):
             frame, desired = state.frame(task.frame), task.reference(state.t)
             error = pin.log6(frame.T.actInv(desired.T)).vector[[3, 4, 5, 0, 1, 2]]
             select = state.contacts[task.contact].free if task.contact is not None else task.selection
-            row[f"{name}.error"] = np.linalg.pinv(select) @ (select @ error)
+            row |= {f"{name}.error": np.linalg.pinv(select) @ (select @ error), f"{name}.along": select @ error}
             row |= {f"{name}.position": frame.T.translation, f"{name}.desired": desired.T.translation}
             row[f"{name}.speed"] = np.linalg.norm(frame.V[3:])
     log.append(out.active, **row)
