@@ -22,14 +22,18 @@ from .faults import Faults
 from .geometry import Geometry, components
 from .limit import JointLimit, TorqueLimit, make_limits
 from .metrics import vocabulary
+from .model import open_welds
 from .names import check_names, load_robot
 from .qp import Array
 from .robot import Robot
+from .sim import to_mujoco
 from .solver import Solver, make
 from .stability import Pole, damping_margin, force_poles
 from .task import ForceTask, Task
 from .tracking import Tracking, joint_values
 from .wrench import VELOCITY_AXES
+
+WELDED = 1e-6  # [m, rad] how well the start pose closes what the scene welds
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,7 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     faults.check()
     notes = _check_followed(geometry)
     q = _close(q_home, geometry.goals(q_home, contacts, references), robot, faults)
+    _check_welds(robot, q, faults)
     entries: Mapping[str, specs.Phase | None] = spec.phases or {"": None}
     made = [_phase(geometry, name, entry, q) for name, entry in entries.items()]
     phases = [each.phase for each in made]
@@ -102,6 +107,16 @@ def _close(q: Array, goals: Sequence[Goal], robot: Robot, faults: Faults) -> Arr
             allowed = f"outside [{robot.q_min[i]:.3f}, {robot.q_max[i]:.3f}]"
             faults.add(("start",), f"{message}, {allowed}; choose another start or place")
     return start if faults.found else q
+
+
+def _check_welds(robot: Robot, q: Array, faults: Faults) -> None:
+    """What the scene welds to the robot is closed at the start: a weld does not pull the robot into place."""
+    if robot.mujoco is None or not robot.mujoco.neq or faults.found:
+        return
+    for first, second, gap in open_welds(robot.mujoco, to_mujoco(robot.mujoco, q)):
+        if not gap < WELDED:
+            message = f"it welds {first} to {second}, which are {gap:.2g} m or rad apart at the start pose"
+            faults.add(("scene",), f"{message}; expected a contact that closes one onto the other (`on:`)")
 
 
 def _check_followed(geometry: Geometry) -> list[str]:

@@ -208,9 +208,9 @@ class ScrewContact(Contact):
     """The world leaves a frame free along given screws only (a hinge, a slide), fixed to the world.
 
     `screws` (f, 6) are twists in the axes of the pose `origin`; with A_0 their annihilator, A = A_0 Ad(origin^-1 T).
-    Its Adot V is zero, for d/dt Ad_T = Ad_T ad_V and ad_V V = 0. Each row of A_0 is one axis of the origin less what the
-    screws move it by, so that the multipliers are wrenches along these axes: a hinge along z leaves mx, my, fx, fy, fz,
-    the forces taken by its axis.
+    Its Adot V is zero, for d/dt Ad_T = Ad_T ad_V and ad_V V = 0. Each row of A_0 is one axis of the origin less what
+    the screws move it by, so that the multipliers are wrenches along these axes: a hinge along z leaves mx, my, fx, fy,
+    fz, its forces taken by the axis.
     """
 
     def __init__(self, frame: str, screws: Array, origin: pin.SE3, names: tuple[str, ...] = ()) -> None:

@@ -49,7 +49,9 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
         for name, task in phase.tasks.items():
             if isinstance(task, MotionTask):
                 names += [f"{name}.{figure}" for figure in _MOTION]
-                names += [f"{name}.{screw}.{figure}" for screw in _screws(task) for figure in ("rms_error", "max_error")]
+                names += [
+                    f"{name}.{screw}.{figure}" for screw in _screws(task) for figure in ("rms_error", "max_error")
+                ]
     return sorted(set(names))
 
 

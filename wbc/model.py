@@ -312,6 +312,23 @@ def to_pinocchio(model: mujoco.MjModel, qpos: Array, qvel: Array) -> tuple[Array
     return q, v
 
 
+def open_welds(model: mujoco.MjModel, qpos: Array) -> list[tuple[str, str, float]]:
+    """Of every weld or connection of two sites, their names and how far they are apart at `qpos` [m, rad]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    found = []
+    for i in np.flatnonzero((model.eq_objtype == mujoco.mjtObj.mjOBJ_SITE) & model.eq_active0):
+        sites = model.eq_obj1id[i], model.eq_obj2id[i]
+        first, second = (pin.SE3(data.site_xmat[s].reshape(3, 3), data.site_xpos[s]) for s in sites)
+        apart = first.actInv(second)
+        turn = 0.0 if model.eq_type[i] == mujoco.mjtEq.mjEQ_CONNECT else np.linalg.norm(pin.log3(apart.rotation))
+        gap = float(max(np.linalg.norm(apart.translation), turn))
+        one, other = (_name(model, mujoco.mjtObj.mjOBJ_SITE, site) for site in sites)
+        found.append((one, other, gap))
+    return found
+
+
 def disagreement(model: mujoco.MjModel, other: pin.Model, states: int = 4, seed: int = 0) -> dict[str, float]:
     """Worst relative difference between MuJoCo and Pinocchio over random states, per quantity.
 

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from .errors import ModelError, SimulationError
-from .model import quietly, to_pinocchio
+from .model import body_name, quietly, to_pinocchio
 from .qp import Array
 from .robot import Robot, State
 from .wrench import ForceSensor, Wrench
@@ -179,7 +179,8 @@ def own_coordinates(robot: Robot) -> tuple[Array, Array]:
     ours, plant = robot.mujoco, robot.plant or robot.mujoco
     if plant.njnt == ours.njnt:
         return np.arange(ours.nq), np.arange(ours.nv)
-    q, v = [], []
+    q: list[int] = []
+    v: list[int] = []
     for joint in range(ours.njnt):
         there = plant.joint(ours.joint(joint).name)
         q += range(there.qposadr[0], there.qposadr[0] + ours.joint(joint).qpos0.size)
@@ -199,7 +200,8 @@ def _changed(robot: Robot, plant: Any, own: Array) -> mujoco.MjModel:
     model.body_mass[links] *= 1.0 + plant.mass_error
     model.body_inertia[links] *= 1.0 + plant.mass_error
     if plant.payload:
-        model.body_mass[_last_body(robot.mujoco)] += plant.payload
+        at = plant.payload_at
+        model.body_mass[carrier(robot, at)[0] if at is not None else _last_body(robot.mujoco)] += plant.payload
     model.dof_frictionloss[own] += plant.joint_friction
     if plant.armature is not None:
         model.dof_armature[own] = plant.armature
@@ -210,6 +212,20 @@ def _changed(robot: Robot, plant: Any, own: Array) -> mujoco.MjModel:
     with quietly():
         mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
+
+
+def carrier(robot: Robot, name: str) -> tuple[int, pin.SE3]:
+    """MuJoCo's body that carries a frame, and the frame's place on it; of a joint's frame, a body that moves alike."""
+    mj = robot.mujoco
+    site = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_SITE, name.removeprefix("site:"))
+    named = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_BODY, name)
+    bodies = [named] if named >= 0 else [int(mj.site_bodyid[site])] if site >= 0 else range(1, mj.nbody)
+    frame = robot.model.frames[robot.frame_id(name)]
+    for body in bodies:
+        own = robot.model.frames[robot.frame_id(body_name(mj, body))]
+        if own.parentJoint == frame.parentJoint:
+            return body, own.placement.actInv(frame.placement)
+    return 0, frame.placement
 
 
 def _last_body(model: mujoco.MjModel) -> int:
@@ -227,7 +243,7 @@ def _has_sensor(model: mujoco.MjModel, name: str) -> bool:
     return bool(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0)
 
 
-def _actuators(model: mujoco.MjModel, own: Array) -> tuple[Array, Array, Array]:
+def _actuators(model: mujoco.MjModel, own: Array) -> tuple[Any, Any, Array]:
     """The motors of the robot's own joints, for each its velocity's number among the robot's, and its gear."""
     dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
     motors = np.flatnonzero(np.isin(dofs, own))
