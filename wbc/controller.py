@@ -15,6 +15,7 @@ import numpy as np
 
 from .contact import Contact
 from .errors import StateError, did_you_mean
+from .impedance import NEW, Felt
 from .kernels import torque
 from .phase import Phase, Program, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
@@ -73,6 +74,7 @@ class Memory(NamedTuple):
     status: Status = Status.OK
     bad: int = 0
     good: int = GOOD_TICKS
+    felt: Mapping[str, Felt] = _NONE  # what tasks know of a push
 
 
 class Controller:
@@ -188,8 +190,8 @@ class Controller:
     ) -> Output:
         """One tick at time t [s] of the caller's clock, at state q (nq,), v (nv,) in Pinocchio's convention.
 
-        `measured`: contact -> Wrench; `targets`: `contact.axis` -> number, kept until changed; `tau_applied`: what the
-        driver really sent last; `missed`: ticks that the caller left out. Never raises on data.
+        `measured`: contact, or task that has none -> Wrench; `targets`: `contact.axis` -> number, kept until changed;
+        `tau_applied`: what the driver really sent last; `missed`: ticks that the caller left out. Never raises on data.
         """
         try:
             return self._step(t, q, v, measured, targets, tau_applied, missed)
@@ -223,6 +225,7 @@ class Controller:
         program = self._programs[memory.phase]
         if tau_last is not memory.tau or memory.phase != known.phase:
             tau_last = program.phase.torque.inside(tau_last)
+        felt = self._feel(state, program.phase, memory, tau_last) if program.phase.compliant else _NONE
         bounds = program.phase.torque.bounds(tau_last, self.dt)
         if not program.assemble(state, bounds, self.dt):
             return self._hold(program.last.fault())
@@ -231,6 +234,7 @@ class Controller:
             solution = answer(self._second, program.last.problem)
         if not solution.accepted:
             return self._hold(program.last.fault() or solution.reason)
+        memory = memory._replace(felt=felt) if felt else memory
         return self._accept(program, state, solution, tau_last, bounds, memory, t, refused, missed)
 
     def _advance_time(self, memory: Memory, t: float) -> Memory:
@@ -252,14 +256,16 @@ class Controller:
         loops = memory.loops
         state.loops = {name: loops.get(name, _NEW_LOOP) for name in phase.contacts}
         for name, wrench in (measured or {}).items():
-            if name not in phase.contacts:
-                refused.append(f"measured: no contact named {name!r}{did_you_mean(name, phase.contacts)}")
+            frame = phase.feeling.get(name)
+            if frame is None:
+                known = did_you_mean(name, phase.feeling)
+                refused.append(f"measured: no contact and no task that feels a wrench named {name!r}{known}")
                 continue
-            F = wrench.at(state, phase.contacts[name].frame) if isinstance(wrench, Wrench) else None
+            F = wrench.at(state, frame) if isinstance(wrench, Wrench) else None
             if F is None or not math.isfinite(F.dot(F)):
                 got = type(wrench).__name__ if F is None else F
                 refused.append(f"measured.{name}: expected a finite Wrench, got {got}; the last one stands")
-                F = loops[name].filtered if name in loops else None
+                F = loops[name].filtered if name in loops else memory.felt.get(name, NEW).F
             if F is not None:
                 state.measured[name] = F
         for name in phase.fed:
@@ -271,6 +277,22 @@ class Controller:
             state.targets = dict(memory.targets)
             refused += self._retarget(state, phase, targets)
         return refused
+
+    def _feel(self, state: State, phase: Phase, memory: Memory, tau: Array) -> dict[str, Felt]:
+        """The pushes of this tick, by task; each counts once among the known loads."""
+        felt: dict[str, Felt] = {}
+        if phase.gravity_only:
+            state.bias = state.bias + (state.gravity() - state.h)
+        carried = set(phase.fed)
+        for name, task in phase.compliant.items():
+            at = task.contact or name
+            felt[name] = state.felt[task] = task.feel(state, state.measured.get(at), tau, memory.felt.get(name, NEW))
+            F, place = felt[name].F, task.contact or task.frame
+            if F is None or not task.carries or place in carried:
+                continue
+            carried.add(place)  # tasks at one frame feel one wrench
+            state.carry(task.frame, F if task.contact is None else state.contacts[task.contact].unconstrained(F))
+        return felt
 
     def _retarget(self, state: State, phase: Phase, targets: Mapping[str, float]) -> list[str]:
         known = [f"{name}.{axis}" for name, contact in phase.contacts.items() for axis in contact.axes]
@@ -318,7 +340,7 @@ class Controller:
         gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
             t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
-            state.targets, status, 0, good,
+            state.targets, status, 0, good, memory.felt,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)

@@ -13,6 +13,7 @@ from . import spec as specs
 from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, WorldAxesContact
 from .faults import Faults, Place
+from .names import MOVING
 from .qp import Array
 from .reference import Path, Reference, Scalar, ScrewPath, constant, hold, quintic, ramp, sine
 from .robot import Robot
@@ -42,18 +43,20 @@ class Geometry:
                 contacts[name].feedforward = entry.feedforward
         references: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
-            if not isinstance(task, specs.MotionTask):
+            if not isinstance(task, MOVING):
                 continue
             if task.contact is not None:
                 if task.contact in paths:
                     references[name] = paths[task.contact]
                 continue
             assert task.frame is not None
-            assert task.target is not None
             here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
-            references[name] = self._path(spec.references[task.target], task.target, here)
-            axes = VELOCITY_AXES if task.axes == "all" else task.axes
-            self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
+            if task.target is None:
+                references[name] = hold(here)
+            else:
+                references[name] = self._path(spec.references[task.target], task.target, here)
+                axes = VELOCITY_AXES if task.axes == "all" else task.axes
+                self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
             self._check_axes(task.frame, () if task.axes == "all" else task.axes, ("tasks", name, "axes"))
         return contacts, references
 
@@ -63,11 +66,11 @@ class Geometry:
         goals: list[Goal] = []
         paths: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
-            if not isinstance(task, specs.MotionTask):
+            if not isinstance(task, MOVING):
                 continue
             if task.contact is not None:
                 paths[task.contact] = references[name]
-            elif task.frame is not None and not _stays(spec.references[task.target or ""]):
+            elif task.frame is not None and task.target and not _stays(spec.references[task.target]):
                 rows = np.eye(6)[[i for i, a in enumerate(VELOCITY_AXES) if task.axes == "all" or a in task.axes]]
                 goals.append(Goal(task.frame, references[name](0.0).T, rows, ("tasks", name, "target")))
         for name, contact in contacts.items():

@@ -5,6 +5,11 @@
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
     TASK.speed.max                                 speed of the task frame [m/s]
+    TASK.mass_error, .damping_error, .stiffness_error      what a push feels against M, B, K of a compliant task [1]
+    TASK.law.mass_error, ...                       the same, with what law and tick predict taken off (`response`)
+    TASK.external.rms_error, .lag                  observer: error of its model, and of its lag [N]
+    TASK.step_error, .bode.gain_error, .phase_error        one axis: against the closed form [1], [dB], [deg]
+    TASK.compliance_error, CONTACT.stiffness_error, stiffness.ratio     the two ideals (`response`) [1]
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
     joint.max_excess                               position beyond its limit [rad]
@@ -21,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from . import response
 from .log import Log
 from .qp import Array
 from .task import ForceTask, MotionTask
@@ -31,9 +37,9 @@ ALWAYS = (
 )  # fmt: skip
 
 
-def vocabulary(phases: Sequence[Any]) -> list[str]:
-    """Every metric that a run of these phases reports."""
-    names = list(ALWAYS)
+def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
+    """Every metric that a run of these phases reports, under what the plant does to them."""
+    names = [*ALWAYS, *response.names(phases, plant)]
     for phase in phases:
         for task in phase.tasks.values():
             if isinstance(task, ForceTask):
@@ -73,7 +79,7 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
             force = np.linalg.norm(log[f"{contact}.true"], axis=1) > 0.0
             touched = np.maximum.accumulate(force) & late
             out[f"{contact}.lost"] = float((touched & ~force).sum())
-    return out | _limits(log)
+    return out | response.figures(log, phases, settle) | _limits(log)
 
 
 def _errors(name: str, error: Array) -> dict[str, float]:

@@ -16,6 +16,7 @@ import numpy as np
 from .contact import Contact
 from .dynamics import gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
+from .impedance import Compliance, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .robot import Robot, State
@@ -42,6 +43,22 @@ class Phase:
         """Contacts whose measured wrench is fed forward along the free axes."""
         return tuple(name for name, contact in self.contacts.items() if contact.feedforward == "measured")
 
+    @cached_property
+    def compliant(self) -> dict[str, Compliance]:
+        """Impedance and admittance tasks, by name."""
+        return {name: task for name, task in self.tasks.items() if isinstance(task, Compliance)}
+
+    @cached_property
+    def feeling(self) -> dict[str, str]:
+        """What a measured wrench may be given for, and the frame at which it is wanted: contacts, and tasks without."""
+        tasks = {n: t.frame for n, t in self.compliant.items() if t.contact is None and t.source == "measured"}
+        return {name: contact.frame for name, contact in self.contacts.items()} | tasks
+
+    @cached_property
+    def gravity_only(self) -> bool:
+        """Whether a task wants the arm's weight cancelled and nothing else."""
+        return any(isinstance(task, ImpedanceTask) and task.gravity_only for task in self.compliant.values())
+
 
 def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any], limits: Mapping[str, Any]) -> Phase:
     """A phase from what `Controller` is given: tasks, or pairs of a task and its weight. Raises WbcError."""
@@ -61,7 +78,7 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
     state = State(start.robot, start.data, start.q, start.v)
     hold(state, phase)
     rows = [held.G for held in state.contacts.values()]
-    rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, MotionTask)]
+    rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, MotionTask | Compliance)]
     rank = np.linalg.matrix_rank(np.concatenate(rows)) if rows else 0
     postures = [name for name, task in phase.tasks.items() if isinstance(task, PostureTask)]
     tasks = dict(phase.tasks)

@@ -16,13 +16,18 @@ import pinocchio as pin
 
 from .build import Built
 from .controller import Controller, Output, Status
+from .dynamics import mobility, unheld
 from .errors import SimulationError
+from .impedance import Compliance
 from .log import Log
 from .metrics import metrics
 from .model import quietly
 from .qp import Array
+from .response import described
+from .robot import State
 from .sim import Observation, Simulator
 from .task import ForceTask, MotionTask
+from .wrench import Wrench
 
 STATUS_NAMES = [status.name for status in Status]
 
@@ -68,6 +73,8 @@ def run(
     simulator = Simulator(built.robot, built.q, dt, spec.plant, seed)
     log = Log(ticks, _meta(built, seed))
     controller.reset(built.q, np.zeros(built.robot.nv))
+    if spec.tare:
+        simulator.tare(controller.state)
     broken, began = "", time.perf_counter()
     gc.collect()
     gc.freeze()  # what is built stays: the collector need not look at it every tick
@@ -84,28 +91,64 @@ def run(
 def _loop(
     built: Built, simulator: Simulator, log: Log, ticks: int, progress: Any, hook: Hook | None, show: Any
 ) -> None:
-    controller, measured = built.controller, None
+    controller = built.controller
+    before: tuple[Observation, Output, State] | None = None
     contacts = sorted({name for phase in built.phases for name in phase.contacts})
     for tick in range(ticks):
         seen = simulator.observe()
-        given = dict.fromkeys(controller.phase.contacts, measured) if measured is not None else None
-        before = time.perf_counter()
+        measured = _measured(simulator, controller, before, seen)
+        given = dict.fromkeys(controller.phase.feeling, measured) if measured is not None else None
+        began = time.perf_counter()
         out = controller.step(seen.t, seen.q, seen.v, measured=given)
-        took = time.perf_counter() - before
+        took = time.perf_counter() - began
         simulator.apply(out.tau)
         true = {
             name: simulator.true_wrench(controller.phase.contacts[name].frame)
             for name in contacts
             if name in controller.phase.contacts
         }
-        measured = simulator.measured(controller.state, out.vdot)
+        before = (seen, out, controller.state)
         _record(log, controller, seen, out, took, true)
+        _record_pushes(log, controller, simulator)
         if hook is not None:
             hook(seen, out)
         if show is not None:
             show(simulator)
         if progress is not None and tick % 50 == 49:
             progress(tick + 1)
+
+
+def _measured(
+    simulator: Simulator, controller: Controller, before: tuple[Observation, Output, State] | None, seen: Observation
+) -> Wrench | None:
+    """The wrist sensor's wrench of the last tick. A push that the model cannot predict moves the tool as well: then
+    its acceleration is that of the joints' velocities, else the one that the controller asked for."""
+    if before is None:
+        return None
+    then, out, state = before
+    vdot = (seen.v - then.v) / (seen.t - then.t) if controller.phase.compliant else out.vdot
+    return simulator.measured(state, vdot)
+
+
+def _record_pushes(log: Log, controller: Controller, simulator: Simulator) -> None:
+    """The true pushes, and the true motion that compliant tasks answer them with."""
+    state, row = controller.state, dict[str, Any]()
+    for name in simulator.pushes:
+        row[f"{name}.true"] = simulator.true_push(name)
+        row[f"{name}.mobility"] = unheld(state, state.frame(simulator.pushes[name]).J)
+    for name, task in controller.phase.compliant.items():
+        (T, V), desired, S = simulator.true_motion(task.frame), task.reference(state.t), task.selection(state)
+        X_e, V_e, ahead = task.errors(T, V, desired)
+        lift = np.linalg.pinv(S)
+        row |= {f"{name}.displacement": -S @ X_e, f"{name}.rate": -S @ V_e, f"{name}.mobility": task.mobility(state)}
+        row |= {f"{name}.twist": S @ V, f"{name}.ahead": S @ ahead}
+        row |= {f"{name}.external": -lift.T @ simulator.true_external(task.frame), f"{name}.felt": task.push(state)}
+        row |= {f"{name}.error": lift @ (S @ X_e), f"{name}.speed": np.linalg.norm(V[3:])}
+        row |= {f"{name}.position": T.translation, f"{name}.desired": desired.T.translation}
+    for name, held in state.contacts.items() if simulator.moves else ():
+        T, _ = simulator.true_motion(held.frame)
+        row |= {f"{name}.place": T.translation, f"{name}.mobility": mobility(state, held.G)}
+    log.put(**row)
 
 
 def _record(
@@ -150,7 +193,11 @@ def _meta(built: Built, seed: int) -> dict[str, Any]:
         "q_min": np.maximum(robot.q_min, -1e9).tolist() if finite else [],
         "q_max": np.minimum(robot.q_max, 1e9).tolist() if finite else [],
         "contacts": {name: list(c.axes) for phase in built.phases for name, c in phase.contacts.items()},
-        "motions": [name for phase in built.phases[:1] for name, t in phase.tasks.items() if isinstance(t, MotionTask)],
+        "motions": [
+            name for phase in built.phases[:1] for name, t in phase.tasks.items()
+            if isinstance(t, MotionTask | Compliance)
+        ],
+        **described(built.spec.plant),
     }  # fmt: skip
 
 
