@@ -12,6 +12,17 @@ SPECS: dict[str, dict[str, float]] = {
     },
     "eraser_noisy": {"board.fz.rms_error": 0.05},  # sensor noise of 0.2 N
     "eraser_weak": {"board.fz.max_error": 2.0, "draw.speed.max": 0.5, "board.lost": 0},
+    # errors relative to M, B, K as the spec has them, of a fit of true motion and true push
+    "impedance": {"feel.mass_error": 0.03, "feel.damping_error": 0.01, "feel.stiffness_error": 0.01},
+    "impedance_massless": {"feel.damping_error": 0.005, "feel.stiffness_error": 0.005},  # fitted with Lam(q)
+    "impedance_gravity": {"feel.damping_error": 0.05, "feel.stiffness_error": 0.05, "feel.speed.max": 0.2},
+    "admittance": {"feel.mass_error": 0.03, "feel.damping_error": 0.03, "feel.stiffness_error": 0.03},
+    "mass_spring_damper": {
+        f"{task}.{figure}": bound
+        for task in ("spring", "follower")
+        for figure, bound in (("step_error", 0.01), ("bode.gain_error", 0.1), ("bode.phase_error", 1.0))  # [dB], [deg]
+    },
+    "high_low_impedance": {"board.stiffness_error": 0.05, "stay.compliance_error": 0.05, "stiffness.ratio": 0.01},
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
 }
 
@@ -30,3 +41,11 @@ WEAK_OVERSHOOT, WEAK_RECOVERY = 0.10, 0.5  # of the step, [s]
 # of this kind of machine; measured by benchmarks/tick.py, never asserted in a timed test
 TICK_MEDIAN_US = 150.0
 HELP_SECONDS = 0.5
+
+# impedance and admittance, beyond their specs
+SMALL_MASS_ERROR = 0.03  # of the predicted M + B dt
+PRINTED_ERROR = 0.03  # of the predicted M/(1 + M/Lam), B and K alike
+LEAST_MASS_ERROR = 0.10  # smallest stable M against the computed one
+ZY_ERROR = 0.02  # |Z Y - 1|, Z of an impedance along x, Y of an admittance along y
+BODE_FREQUENCIES = 10
+OBSERVER_ERROR = 0.05  # [N] against the lag-filtered truth

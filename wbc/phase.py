@@ -16,7 +16,7 @@ import numpy as np
 from .contact import Contact
 from .dynamics import gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
-from .impedance import Compliance, ImpedanceTask
+from .impedance import AdmittanceTask, Compliance, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .robot import Robot, State
@@ -118,12 +118,18 @@ class Program:
                 f"{len(self.above)} tasks of motion; use law: compensated"
             )
         # motion and posture of equal weight are one least squares problem in M
-        self.merged: tuple[MotionTask, PostureTask, float] | None = None
-        if self.single and len(self.posture) == 1:
-            names = [*self.motion, *self.posture]
-            own = type(self.motion[names[0]]) is MotionTask and type(self.posture[names[1]]) is PostureTask
-            if own and phase.weights[names[0]] == phase.weights[names[1]]:
-                self.merged = (self.motion[names[0]], self.posture[names[1]], phase.weights[names[0]])
+        self.merged: tuple[list[Any], PostureTask, float] | None = None
+        compliant = bool(phase.compliant) and len(self.motion) + len(phase.compliant) == len(self.above)
+        if (self.single or compliant) and len(self.posture) == 1:
+            names = [*self.above, *self.posture]
+            own = {type(phase.tasks[name]) for name in names} <= {
+                MotionTask,
+                ImpedanceTask,
+                AdmittanceTask,
+                PostureTask,
+            }
+            if own and len({phase.weights[name] for name in names}) == 1:
+                self.merged = (list(self.above.values()), self.posture[names[-1]], phase.weights[names[0]])
         state = State(start.robot, start.data, start.q, start.v)
         hold(state, phase)
         sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
@@ -173,8 +179,8 @@ class Program:
         """Rows of all tasks with their weights."""
         weights = self.phase.weights
         if self.merged is not None:
-            motion, posture, weight = self.merged
-            G, b = motion.stack(state)
+            above, posture, weight = self.merged
+            G, b = above[0].stack(state) if self.single else _stacked(state, above)
             rows, K = gauss(state, G, b, posture.acceleration(state))
             state.primary = (G, _NO_METRIC, K)
             costs = [(rows, weight)]
@@ -222,6 +228,14 @@ class Program:
                 label = self.phase.joint.name(joints.index(joint), bool(z[i] > 0.0), state.q)
             names.append(label)
         return tuple(names)
+
+
+def _stacked(state: State, tasks: Sequence[Any]) -> tuple[Array, Array]:
+    """Rows of the contacts, then of all tasks: G vdot = b."""
+    own = [task.target(state) for task in tasks]
+    held = list(state.contacts.values())
+    G = np.concatenate([h.G for h in held] + [rows for rows, _ in own])
+    return G, np.concatenate([h.rhs for h in held] + [rhs for _, rhs in own])
 
 
 def _fill(workspace: Workspace, costs: Sequence[tuple[Rows, float]], hard: Sequence[Rows]) -> bool:

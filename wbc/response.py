@@ -83,7 +83,7 @@ def _times(A: Array, x: Array) -> Array:
 
 def _error(found: Array, asked: Array) -> float:
     """|L^-1 (found - asked) L^-T|, asked = L L'; nan where nothing is asked."""
-    if not asked.any():
+    if not asked.any() or not np.isfinite(found).all():
         return math.nan
     L = np.linalg.cholesky(0.5 * (asked + asked.T))
     return float(np.linalg.norm(np.linalg.solve(L, np.linalg.solve(L, found - asked).T), 2))
@@ -188,15 +188,21 @@ def bode(log: Log, name: str, task: Compliance) -> Bode | None:
         dt, w = log.meta["dt"], 2 * np.pi * np.array(frequencies)
         ticks = round(_period(frequencies) / dt)
         count = int((log["t"][-1] - push["from"]) / dt * 0.6) // ticks * ticks  # what remains is left to settle in
-        if not count:
+        if not 0 < count < log.size or not np.isfinite(log[f"{name}.displacement"][-count:]).all():
             return None
         Lam = 1 / log[f"{name}.mobility"][-count:, 0, 0].mean()
         delay = dt if isinstance(task, AdmittanceTask) else dt * (1 - m / Lam) if m else 0.0
         t = log["t"][-count:]
-        turn = np.exp(-1j * np.outer(w, t))
-        X, F = turn @ log[f"{name}.displacement"][-count:, 0], turn @ log[f"{name}.external"][-count:, 0]
+        X, F = (_phasors(t, log[f"{name}.{part}"][-count:, 0], w) for part in ("displacement", "external"))
         return Bode(w, X / F, admittance(m or Lam, b, k, w, delay=delay))
     return None
+
+
+def responses(log: Log, phases: Sequence[Any]) -> dict[str, Bode]:
+    """The frequency responses that a run measured, by task."""
+    tasks = [(n, task) for phase in phases for n, task in phase.compliant.items() if len(task.axes) == 1]
+    found = {name: bode(log, name, task) for name, task in tasks if f"{name}.displacement" in log}
+    return {name: each for name, each in found.items() if each is not None}
 
 
 def _step(log: Log, task: Compliance) -> tuple[float, float, float] | None:
@@ -247,14 +253,22 @@ def yielding(log: Log, task: ForceTask) -> tuple[float, float] | None:
         dt, w = log.meta["dt"], 2 * np.pi * frequencies[0]
         ticks = round(1 / frequencies[0] / dt)
         count = int((log["t"][-1] - move["from"]) / dt * 0.6) // ticks * ticks
-        if count:
-            turn = np.exp(-1j * w * log["t"][-count:])
+        if 0 < count < log.size and np.isfinite(log[place][-count:]).all():
+            t, at = log["t"][-count:], np.array([w])
             error = (log[f"{task.contact}.lam"] - log[f"{task.contact}.target"])[-count:, 0]
             x = log[place][-count:] @ np.array(move["along"])
             Lam = 1 / log[f"{task.contact}.mobility"][-count:, 0, 0].mean()
             predicted = force_stiffness(w, Lam, float(task.Kp[0, 0]), float(task.Ki[0, 0]))
-            return float(abs(turn @ error) / abs(turn @ x)), float(predicted)
+            return float(abs(_phasors(t, error, at)[0] / _phasors(t, x, at)[0])), float(predicted)
     return None
+
+
+def _phasors(t: Array, y: Array, w: Array) -> Complex:
+    """(n,) Y of y = sum Re(Y e^(jwt)) beside a constant and a drift, by least squares."""
+    angle = np.outer(t, w)
+    A = np.column_stack((np.cos(angle), np.sin(angle), np.ones(t.size), t - t.mean()))
+    a, b = np.linalg.lstsq(A, y, rcond=None)[0][: 2 * w.size].reshape(2, -1)
+    return np.asarray(a - 1j * b)
 
 
 def described(plant: Any) -> dict[str, Mapping[str, Any]]:

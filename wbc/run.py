@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from .log import Log
 from .metrics import metrics
 from .model import quietly
 from .qp import Array
-from .response import described
+from .response import Bode, described, responses
 from .robot import State
 from .sim import Observation, Simulator
 from .task import ForceTask, MotionTask
@@ -38,19 +38,22 @@ class Result:
 
     log: Log
     summary: dict[str, Any]
+    responses: dict[str, Bode] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
         return bool(self.summary["ok"])
 
     def write(self, folder: Path) -> None:
-        """`log.npz`, `summary.json` and `report.png` in `folder`."""
-        from .plot import report
+        """`log.npz`, `summary.json`, `report.png`, and where there are frequency responses `bode.png`, in `folder`."""
+        from .plot import bode_plot, report
 
         folder.mkdir(parents=True, exist_ok=True)
         self.log.save(folder / "log.npz")
         (folder / "summary.json").write_text(json.dumps(self.summary, indent=1) + "\n")
         report(self.log, self.summary, folder / "report.png")
+        if self.responses:
+            bode_plot(self.responses, str(self.log.meta.get("title", "")), folder / "bode.png")
 
 
 Hook = Callable[[Observation, Output], None]
@@ -85,7 +88,8 @@ def run(
         broken = str(error)
     finally:
         gc.unfreeze()
-    return Result(log, _summary(built, log, time.perf_counter() - began, broken))
+    summary = _summary(built, log, time.perf_counter() - began, broken)
+    return Result(log, summary, responses(log, built.phases) if not broken else {})
 
 
 def _loop(
