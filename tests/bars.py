@@ -39,6 +39,17 @@ SPECS: dict[str, dict[str, float]] = {
         **{f"handle.{axis}.rms_error": 0.1 for axis in ("fx", "fy", "fz")},
         **{f"handle.{axis}.rms_error": 0.02 for axis in ("mx", "my", "mz")},
     },
+    # errors relative to M, B, K as the spec has them, of a fit of true motion and true push
+    "impedance": {"feel.mass_error": 0.03, "feel.damping_error": 0.01, "feel.stiffness_error": 0.01},
+    "impedance_massless": {"feel.damping_error": 0.005, "feel.stiffness_error": 0.005},  # fitted with Lam(q)
+    "impedance_gravity": {"feel.damping_error": 0.05, "feel.stiffness_error": 0.05, "feel.speed.max": 0.2},
+    "admittance": {"feel.mass_error": 0.03, "feel.damping_error": 0.03, "feel.stiffness_error": 0.03},
+    "mass_spring_damper": {
+        f"{task}.{figure}": bound
+        for task in ("spring", "follower")
+        for figure, bound in (("step_error", 0.01), ("bode.gain_error", 0.1), ("bode.phase_error", 1.0))  # [dB], [deg]
+    },
+    "high_low_impedance": {"board.stiffness_error": 0.05, "stay.compliance_error": 0.05, "stiffness.ratio": 0.01},
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
 }
 
@@ -65,3 +76,10 @@ HELP_SECONDS = 0.5
 
 # polish_sphere: Lam Adot V of the book's law against the force, its prediction, and what compensation leaves
 SPHERE_BIAS, SPHERE_PREDICTED, SPHERE_COMPENSATED = 0.10, 0.01, 1e-3
+# impedance and admittance, beyond their specs
+SMALL_MASS_ERROR = 0.03  # of the predicted M + B dt
+PRINTED_ERROR = 0.03  # of the predicted M/(1 + M/Lam), B and K alike
+LEAST_MASS_ERROR = 0.10  # smallest stable M against the computed one
+ZY_ERROR = 0.02  # |Z Y - 1|, Z of an impedance along x, Y of an admittance along y
+BODE_FREQUENCIES = 10
+OBSERVER_ERROR = 0.05  # [N] against the lag-filtered truth

@@ -20,7 +20,9 @@ from .controller import Controller, Phase
 from .dynamics import mobility
 from .errors import did_you_mean
 from .faults import Faults, Place
+from .free_motion import MassRange, mass_range
 from .geometry import Geometry, components
+from .impedance import Compliance
 from .limit import JointLimit, TorqueLimit, make_limits
 from .metrics import vocabulary
 from .model import open_welds
@@ -50,6 +52,7 @@ class Built:
     damping_margins: dict[str, float]
     phases: tuple[Phase, ...] = ()
     notes: list[str] = field(default_factory=list)
+    masses: list[MassRange] = field(default_factory=list)
 
 
 def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | None = None) -> Built:
@@ -82,7 +85,8 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     faults.check()
     poles = list(dict.fromkeys(pole for each in made for pole in each.poles))
     margins = {name: margin for each in made for name, margin in each.margins.items()}
-    return Built(spec, robot, controller, q, poles, margins, controller.phases, [*notes, *controller.notes])
+    masses = [each for phase in made for each in phase.masses]
+    return Built(spec, robot, controller, q, poles, margins, controller.phases, [*notes, *controller.notes], masses)
 
 
 def _start_joints(spec: specs.Spec, robot: Robot, faults: Faults) -> Array:
@@ -148,7 +152,7 @@ def _check_followed(geometry: Geometry) -> list[str]:
 
 
 def _check_metrics(spec: specs.Spec, phases: Sequence[Phase], faults: Faults) -> None:
-    known = vocabulary(phases)
+    known = vocabulary(phases, spec.plant)
     for name in spec.expect.bounds:
         if name not in known:
             faults.add(("expect", name), f"no such quantity{did_you_mean(name, [*known, 'settle'])}")
@@ -160,6 +164,7 @@ class _Made(NamedTuple):
     phase: Phase
     poles: list[Pole]
     margins: dict[str, float]
+    masses: list[MassRange]
 
 
 def _active(spec: specs.Spec, phase: specs.Phase | None) -> specs.Spec:
@@ -185,7 +190,8 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
     poles, margins = _stability(geometry, contacts, tasks, q)
     torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
     exit_ = None if entry is None else _exit(base, name, entry, follower, tasks, q)
-    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins)
+    masses = _masses(geometry, contacts, tasks, q)
+    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins, masses)
 
 
 def _exit(
@@ -225,6 +231,35 @@ def _reading(base: Geometry, path: Place, quantity: str, tasks: Mapping[str, Tas
             path, f"the reference of {subject!r} never ends; expected one that does, or another end: `time`"
         )
     return {"done": quantities.done, "error": quantities.error, "speed": quantities.speed}[what](task)
+
+
+def _masses(
+    geometry: Geometry, contacts: Mapping[str, Contact], tasks: Mapping[str, Task], q: Array
+) -> list[MassRange]:
+    """What impedance and admittance can render at the start; what is unstable there is a fault."""
+    spec, robot, masses = geometry.spec, geometry.robot, list[MassRange]()
+    state = robot.state(q, np.zeros(robot.nv))
+    for name, contact in contacts.items():
+        state.contacts[name] = contact.hold(state)
+    for name, task in tasks.items():
+        if not isinstance(task, Compliance):
+            continue
+        found = mass_range(name, task, state, 1.0 / spec.rate, spec.plant.delay)
+        masses.append(found)
+        if not found.stable:
+            geometry.faults.add(("tasks", name, "M"), _unrendered(found))
+    return masses
+
+
+def _unrendered(found: MassRange) -> str:
+    """An unstable mass, and those that would be stable."""
+    pole = f"unstable at this rate: the largest pole of free motion has modulus {found.radius:.4f}, expected below 1"
+    told = [
+        f"{axis} from {low:.3g}{'' if math.isinf(high) else f' to {high:.3g}'}"
+        for axis, low, high in zip(found.axes, found.least, found.most, strict=True)
+        if low < high
+    ]
+    return f"{pole}; choose M on {', '.join(told)}" if told else f"{pole}; lower it with K and B, or raise the rate"
 
 
 def _stability(

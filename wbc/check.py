@@ -10,6 +10,7 @@ import numpy as np
 
 from .build import build
 from .controller import Controller, Phase, Status
+from .free_motion import MassRange
 from .limit import TorqueLimit
 from .spec import Spec
 from .stability import Pole
@@ -26,6 +27,7 @@ class Report:
     poles: list[Pole]
     damping_margins: dict[str, float]
     notes: list[str] = field(default_factory=list)
+    masses: list[MassRange] = field(default_factory=list)
 
     @property
     def ok(self) -> bool:
@@ -43,6 +45,7 @@ class Report:
             "poles": [pole._asdict() for pole in self.poles],
             "damping_margins": self.damping_margins,
             "notes": self.notes,
+            "masses": [each._asdict() for each in self.masses],
         }
 
 
@@ -65,6 +68,7 @@ def check(spec: Spec) -> Report:
         built.poles,
         built.damping_margins,
         built.notes,
+        built.masses,
     )
 
 

@@ -290,6 +290,10 @@ def _tell_check(report: Any) -> None:
         console.print(table)
     for task, margin in report.damping_margins.items():
         console.print(f"{task}: damping uses {margin / 2:.0%} of what this rate allows")
+    for each in report.masses:
+        for axis, mass, least, most in zip(each.axes, each.M, each.least, each.most, strict=True):
+            stable = f"stable from {least:.3g}" + ("" if math.isinf(most) else f" to {most:.3g}")
+            console.print(f"{each.task}.{axis}: " + (f"M = {mass:.3g}, {stable}" if mass else "the arm's own mass"))
     start = "feasible" if report.feasible else f"NOT feasible: {report.reason}"
     console.print(f"MuJoCo and Pinocchio agree to {report.model_error:.0e}; start pose {start}")
     console.print(f"{report.spec}: {'ok' if report.ok else 'FAILED'}")

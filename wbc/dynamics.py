@@ -44,6 +44,14 @@ def mobility(state: State, G: Array) -> Array:
     return G.dot(state.solve_M(G.T))
 
 
+def unheld(state: State, G: Array) -> Array:
+    """(m, m) the same within the contacts of the state: what unit forces cause while the world holds on."""
+    held = [each.G for each in state.contacts.values() if each.G.shape[0]]
+    k = sum(each.shape[0] for each in held)
+    W = mobility(state, np.concatenate([*held, G]))
+    return np.asarray(W[k:, k:] - W[k:, :k] @ inertia(W[:k, :k]) @ W[:k, k:] if k else W)
+
+
 def gauss(state: State, G: Array, b: Array, vdot: Array) -> tuple[Rows, Array]:
     """Rows G vdot = b in their inertia, and an acceleration wanted in what they leave free, as one cost; and G M^-1 G'.
 

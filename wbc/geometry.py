@@ -16,6 +16,7 @@ from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
 from .faults import Faults, Place
 from .friction import unilateral
+from .names import MOVING
 from .qp import Array
 from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, constant, hold, quintic, ramp, sine
 from .robot import Robot
@@ -57,21 +58,23 @@ class Geometry:
                 self._push(name, entry, entry.push, contacts[name], paths[name], q)
         references: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
-            if not isinstance(task, specs.MotionTask):
+            if not isinstance(task, MOVING):
                 continue
             if task.contact is not None:
                 if task.contact in paths:
                     references[name] = paths[task.contact]
                 continue
             assert task.frame is not None
-            assert task.target is not None
-            key = repr((task.frame, spec.references[task.target], q.tobytes()))
-            if key not in self.made:
-                here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
-                self.made[key] = self._path(spec.references[task.target], here)
-            references[name] = self.made[key]
-            axes = VELOCITY_AXES if task.axes == "all" else task.axes
-            self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
+            if task.target is None:
+                references[name] = hold(self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T)
+            else:
+                key = repr((task.frame, spec.references[task.target], q.tobytes()))
+                if key not in self.made:
+                    here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
+                    self.made[key] = self._path(spec.references[task.target], here)
+                references[name] = self.made[key]
+                axes = VELOCITY_AXES if task.axes == "all" else task.axes
+                self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
             self._check_axes(task.frame, () if task.axes == "all" else task.axes, ("tasks", name, "axes"))
         return contacts, references
 
@@ -81,11 +84,11 @@ class Geometry:
         goals: list[Goal] = []
         paths: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
-            if not isinstance(task, specs.MotionTask):
+            if not isinstance(task, MOVING):
                 continue
             if task.contact is not None:
                 paths[task.contact] = references[name]
-            elif task.frame is not None and not getattr(references[name], "relative", False):
+            elif task.frame is not None and task.target and not getattr(references[name], "relative", False):
                 rows = np.eye(6)[[i for i, a in enumerate(VELOCITY_AXES) if task.axes == "all" or a in task.axes]]
                 goals.append(Goal(task.frame, references[name](0.0).T, rows, ("tasks", name, "target")))
         for name, contact in contacts.items():
@@ -154,7 +157,7 @@ class Geometry:
         return contact, Path(origin, along, ends=self._ends(entry), placed=drawn)
 
     def _push(
-        self, name: str, entry: specs.Contact, push: specs.Push, contact: Contact, path: Reference, q: Array
+        self, name: str, entry: specs.Contact, push: specs.Unilateral, contact: Contact, path: Reference, q: Array
     ) -> None:
         """Where the world only pushes; what friction does there stands in the keys that are at fault."""
         d = (-1.0 if push.along.startswith("-") else 1.0) * np.eye(3)["xyz".index(push.along[-1])]

@@ -16,6 +16,11 @@
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
     TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
     TASK.SCREW.rms_error, .max_error               distance along a free screw of the contact [rad; m of a slide]
+    TASK.mass_error, .damping_error, .stiffness_error      what a push feels against M, B, K of a compliant task [1]
+    TASK.law.mass_error, ...                       the same, with what law and tick predict taken off (`response`)
+    TASK.external.rms_error, .lag                  observer: error of its model, and of its lag [N]
+    TASK.step_error, .bode.gain_error, .phase_error        one axis: against the closed form [1], [dB], [deg]
+    TASK.compliance_error, CONTACT.stiffness_error, stiffness.ratio     the two ideals (`response`) [1]
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
     joint.max_excess                               position beyond its limit [rad]
@@ -34,6 +39,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import response
 from .contact import Contact
 from .log import Log
 from .qp import Array
@@ -47,9 +53,9 @@ ALWAYS = (
 )  # fmt: skip
 
 
-def vocabulary(phases: Sequence[Any]) -> list[str]:
-    """Every metric that a run of these phases reports."""
-    names = list(ALWAYS)
+def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
+    """Every metric that a run of these phases reports, under what the plant does to them."""
+    names = [*ALWAYS, *response.names(phases, plant)]
     for phase in phases:
         for task in phase.tasks.values():
             if isinstance(task, ForceTask):
@@ -119,7 +125,7 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         touched = np.maximum.accumulate(force & held) & late
         out[f"{name}.lost"] = float((touched & ~force).sum()) if held.any() else math.nan
         out |= _push(log, name, next(phase.contacts[name] for phase in phases if name in phase.contacts), late)
-    return out | _limits(log)
+    return out | response.figures(log, phases, settle) | _limits(log)
 
 
 def _pressed(task: Any) -> str | None:
