@@ -228,7 +228,7 @@ class ForceTask:
 
     def integral_for(self, part: Array) -> Array:
         """What the integral must be for Ki int e to be this part of the command; zero without an integral gain."""
-        return np.linalg.solve(self.Ki, part) if self.Ki.any() else np.zeros(part.size)
+        return np.asarray(np.linalg.solve(self.Ki, part)) if self.Ki.any() else np.zeros(part.size)
 
     def sense(self, state: State, desired: Array) -> tuple[Array | None, Array, Array | None, Array]:
         """Filtered wrench, integral, what limits took, error; without a sensor the loop is open (book 11.33)."""
