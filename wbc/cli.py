@@ -75,6 +75,8 @@ def run(
         with _progress(f"{loaded.title or spec}", ticks) as progress, _viewer(headless) as show:
             result = simulate(built, seed, progress, show=show)
         result.write(folder)
+        for note in result.summary["notes"][len(built.notes) :]:
+            click.echo(f"note: {note}", err=True)
     summary = result.summary
     _emit(summary, as_json, lambda: _tell_run(summary, folder))
     sys.exit(0 if summary["ok"] else 1)

@@ -8,6 +8,7 @@ the contact knows better.
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple
@@ -16,11 +17,13 @@ import numpy as np
 import pinocchio as pin
 
 from .errors import WrenchError
+from .friction import Cone, Unilateral
 from .qp import Array, Rows
 from .robot import State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 _ZERO = np.zeros(3)
+_ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))  # Pinocchio's order is linear first
 
 
 class Held(NamedTuple):
@@ -39,6 +42,9 @@ class Held(NamedTuple):
     G: Array  # (k, nv)
     rhs: Array  # (k,)
     slip: Array  # (k,) A V, zero while the contact holds
+    B: Array  # (k, 6) B': the wrench of the robot on its environment is B lambda; A where friction is not modelled
+    push: Array  # (k, nv) B' J, so that the torque of the multipliers is push' lambda
+    cone: Cone | None = None  # inequalities on the multipliers, where the contact only pushes
 
     def unconstrained(self, F: Array) -> Array:
         """(6,) the part of a wrench that the constraint does not cause: F - A' (A')^+ F."""
@@ -49,12 +55,14 @@ class Contact(ABC):
     """Base of all contacts. `axes` names the multipliers; by default lambda1, lambda2, ...
 
     `feedforward`: "measured" counts the part of the measured wrench that the constraint does not cause (friction, the
-    load of a hinge) as known; "none" leaves it to the feedback.
+    load of a hinge) as known; "modelled" counts the drag of sliding friction into the contact's own wrench; "none"
+    leaves it to the feedback. `pushes`: the direction in which it only pushes, and friction across it.
     """
 
     frame: str
     k: int
     feedforward: str = "none"
+    pushes: Unilateral | None = None
 
     @abstractmethod
     def A(self, state: State) -> Array:
@@ -67,6 +75,22 @@ class Contact(ABC):
     def free(self, state: State) -> Array:
         """(6 - k, 6) rows that pick the free motion."""
         return complement(self.A(state))
+
+    def turn(self, state: State) -> Array | None:
+        """(3, 3) rotation from the axes in which the contact is given to those of `frame`; None: they are the same."""
+        return None
+
+    def known(self, state: State, held: Held, F: Array) -> Array:
+        """(6,) what of a measured wrench is fed forward: its part along the free axes, drag within the cone."""
+        free = held.unconstrained(F)
+        return free if self.pushes is None else self.pushes.capped(free, F, self.turn(state))
+
+    def without_cone(self) -> Contact:
+        """The same without its inequalities."""
+        if self.pushes is None:
+            return self
+        same, same.pushes = copy.copy(self), self.pushes.lifted()
+        return same
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -92,7 +116,9 @@ class Contact(ABC):
         rhs = bias[:k]
         if Adot_V is not None:
             rhs -= Adot_V
-        return Held(self.frame, A, Adot_V, free, inverse, table, bias, table[:k, :n], rhs, table[:k, n + 1])
+        G = table[:k, :n]
+        B, push, cone = (A, G, None) if self.pushes is None else self.pushes.hold(self, state, A, G, inverse)
+        return Held(self.frame, A, Adot_V, free, inverse, table, bias, G, rhs, table[:k, n + 1], B, push, cone)
 
     def rows(self, name: str, held: Held) -> Rows:
         """The hard rows A (J vdot + Jdot v) = -Adot V."""
@@ -186,8 +212,11 @@ class WorldAxesContact(AxesContact):
 
     hold = Contact.hold  # its rows turn with the frame
 
+    def turn(self, state: State) -> Array:
+        return np.asarray(state.frame(self.frame).T.rotation.T @ self._R)
+
     def _turned(self, rows: Array, state: State) -> Array:
-        X, R = np.zeros((6, 6)), self._R.T @ state.frame(self.frame).T.rotation
+        X, R = np.zeros((6, 6)), self.turn(state).T
         X[:3, :3] = X[3:, 3:] = R
         return rows @ X
 
@@ -209,7 +238,9 @@ class ScrewContact(Contact):
     """The world leaves a frame free along given screws only (a hinge, a slide), fixed to the world.
 
     `screws` (f, 6) are twists in the axes of the pose `origin`; with A_0 their annihilator, A = A_0 Ad(origin^-1 T).
-    Its Adot V is zero, for d/dt Ad_T = Ad_T ad_V and ad_V V = 0.
+    Its Adot V is zero, for d/dt Ad_T = Ad_T ad_V and ad_V V = 0. Each row of A_0 is one axis of the origin less what
+    the screws move it by, so that the multipliers are wrenches along these axes: a hinge along z leaves mx, my, fx, fy,
+    fz, its forces taken by the axis.
     """
 
     def __init__(self, frame: str, screws: Array, origin: pin.SE3, names: tuple[str, ...] = ()) -> None:
@@ -217,28 +248,51 @@ class ScrewContact(Contact):
         self._screws = np.array(screws, float).reshape(-1, 6)
         if np.linalg.matrix_rank(self._screws) < len(self._screws):
             raise WrenchError("the free screws are not independent")
-        self._A0 = complement(self._screws)
+        self._A0, self._held_axes = _annihilator(self._screws)
         self.k = self._A0.shape[0]
         self._names = names
         self._zero = np.zeros(self.k)
 
-    def _adjoint(self, state: State) -> Array:
-        X = self._origin.actInv(state.frame(self.frame).T)
-        Ad = X.toActionMatrix()  # linear first
-        return Ad[np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))]
-
     def A(self, state: State) -> Array:
-        return self._A0 @ self._adjoint(state)
+        X = self._origin.actInv(state.frame(self.frame).T)
+        return self._A0.dot(X.toActionMatrix()[_ANGULAR_FIRST])
+
+    def pseudo_inverse(self, A: Array) -> Array:
+        return np.linalg.solve(A.dot(A.T), A)  # its rows are independent, each with a one of its own
 
     def Adot_V(self, state: State) -> Array:
         return self._zero
 
     def free(self, state: State) -> Array:
-        return np.linalg.pinv(np.linalg.solve(self._adjoint(state), self._screws.T))
+        back = self._origin.actInv(state.frame(self.frame).T).toActionMatrixInverse()[_ANGULAR_FIRST]
+        screws = self._screws.dot(back.T)
+        return np.linalg.solve(screws.dot(screws.T), screws)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return self._held_axes
 
     @property
     def free_axes(self) -> tuple[str, ...]:
         return self._names or super().free_axes
+
+
+def _annihilator(screws: Array) -> tuple[Array, tuple[str, ...]]:
+    """A_0 (6 - f, 6) with A_0 screws' = 0, and its axes: all but those that tell how far along each screw (f, 6).
+
+    A turn is told by an axis of rotation, whatever its lever: angular axes are taken first.
+    """
+    rest, taken = screws.copy(), list[int]()
+    for _ in screws:
+        angular = np.abs(rest[:, :3]).max() > 1e-6 * np.abs(rest).max()
+        size = np.abs(rest[:, :3] if angular else rest)
+        i, j = np.unravel_index(int(np.argmax(size)), size.shape)
+        rest = rest - np.outer(rest[:, j] / rest[i, j], rest[i])  # what is left of the others, this axis taken
+        taken.append(int(j))
+    kept = [j for j in range(6) if j not in taken]
+    A = np.eye(6)[kept]
+    A[:, taken] = -np.linalg.solve(screws[:, taken], screws[:, kept]).T
+    return A, tuple(WRENCH_AXES[j] for j in kept)
 
 
 class SphereContact(Contact):
@@ -273,6 +327,10 @@ class SphereContact(Contact):
         free = np.eye(6)[:5]
         free[3:, 3:] = np.delete(reflection, pole, axis=0)
         return free
+
+    def turn(self, state: State) -> Array:
+        """Two tangents, and z the outward normal."""
+        return np.vstack((self.free(state)[3:, 3:], self._normal(state)[0])).T
 
     def pseudo_inverse(self, A: Array) -> Array:
         return A  # its row is a unit vector

@@ -327,11 +327,11 @@ class Controller:
         wrenches, loops, lam = {}, dict(memory.loops), {}
         for name, held in state.contacts.items():
             lam[name] = solution.x[slices[name]]
-            wrenches[name] = lam[name].dot(held.A)
+            wrenches[name] = lam[name].dot(held.B)
             if name in force:
                 loops[name] = force[name][1].advance(state, lam[name])
         found = workspace.active(solution.z)
-        active = program.names(solution.z, found, state, tau_last, self.dt) if found else ()
+        active = program.names(solution.z, found, state, tau_last, self.dt) if found or program.pushing else ()
         status, reason, good = Status.OK, "", memory.good + 1
         if active or refused or yielded:
             status = Status.LIMITED
@@ -375,7 +375,7 @@ class Controller:
         tau = state.gravity() - HOLD_DAMPING * state.M.diagonal() * v
         for name, lam in memory.lam.items():
             if name in state.contacts:
-                tau = tau + state.contacts[name].G.T @ lam
+                tau = tau + state.contacts[name].push.T @ lam
         low, high = phase.torque.bounds(memory.tau, self.dt)
         tau = np.clip(tau, low, high)
         self._memory = memory._replace(

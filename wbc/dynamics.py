@@ -1,6 +1,7 @@
 """Equations of motion: the affine map (vdot, lambda) -> tau that eliminates the torque, and inertias of row stacks.
 
-tau = M vdot + bias + sum_c G_c' lambda_c,     G_c = A_c J_c,     bias = h + J' F of the wrenches that are known
+tau = M vdot + bias + sum_c J_c' B_c lambda_c,     B_c = A_c' or, with modelled friction, A_c' + mu t n'
+bias = h + J' F of the wrenches that are known
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def torque_map(state: State) -> TorqueMap:
     """The map at a state whose contacts are evaluated."""
     A = {"vdot": state.M}
     for name, held in state.contacts.items():
-        A[name] = held.G.T
+        A[name] = held.push.T
     return TorqueMap(A, state.bias)
 
 

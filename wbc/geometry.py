@@ -15,6 +15,7 @@ from . import spec as specs
 from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
 from .faults import Faults, Place
+from .friction import unilateral
 from .qp import Array
 from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, constant, hold, quintic, ramp, sine
 from .robot import Robot
@@ -52,6 +53,8 @@ class Geometry:
                     self.made[key] = self._contact(name, entry, q)
                 contacts[name], paths[name] = self.made[key]
                 contacts[name].feedforward = entry.feedforward
+            if name in contacts and entry.push is not None:
+                self._push(name, entry, entry.push, contacts[name], paths[name], q)
         references: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
             if not isinstance(task, specs.MotionTask):
@@ -149,6 +152,22 @@ class Geometry:
             along[component] = self._scalar(target, component, path, on or "world")
         drawn = frozenset(VELOCITY_AXES.index(axis) for axis in free if self._drawn(entry.motion_targets.get(axis)))
         return contact, Path(origin, along, ends=self._ends(entry), placed=drawn)
+
+    def _push(
+        self, name: str, entry: specs.Contact, push: specs.Push, contact: Contact, path: Reference, q: Array
+    ) -> None:
+        """Where the world only pushes; what friction does there stands in the keys that are at fault."""
+        d = (-1.0 if push.along.startswith("-") else 1.0) * np.eye(3)["xyz".index(push.along[-1])]
+        state, friction = self.robot.state(q, np.zeros(self.robot.nv)), entry.coulomb
+        key = "friction" if entry.feedforward == "modelled" else "pushes"
+        origin, on = self._on(name, entry, q)
+        place = None if on is None or entry.surface is not None else origin.rotation
+        with self.faults.at("contacts", name, key):
+            if friction is None:
+                contact.pushes = unilateral(contact, state, d, push.least, place=place)
+            else:
+                mu, faces, slip = friction.mu, friction.faces, friction.slip
+                contact.pushes = unilateral(contact, state, d, push.least, mu, faces, slip, path, place)
 
     def _sphere(
         self, name: str, entry: specs.Contact, radius: float, origin: pin.SE3, on: str | None

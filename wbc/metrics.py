@@ -1,12 +1,21 @@
 """The vocabulary of measured quantities: what `expect` bounds and `summary.json` reports, all true, every tick.
 
     CONTACT.AXIS.rms_error, .max_error, .mean      wrench of the robot on the environment against its target [N, N m]
+        of screws and matrices also along the wrench axes mx ... fz, of what the constraint causes: A' lambda
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
     CONTACT.peak, .pull                            largest force along its target, and against it, at any time [N]
     CONTACT.impact_error                           of the predicted peak of a touch, as a share of the true one [1]
+    CONTACT.corners                                least number of points of contact that carried a force
+  of a contact that `pushes`, and with `friction` the next three:
+    CONTACT.tilt                                   largest angle between the frame and the face it closes on [deg]
+    CONTACT.creep                                  where it sticks: largest speed across the push [m/s]
+    CONTACT.friction.angle                         where it slides, above 0.01 m/s: largest angle between the friction
+                                                   on the robot and minus its velocity [deg]
+    CONTACT.friction.mu_error                      there: largest error of |f_t|/f_n, relative to the surface's mu [1]
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
     TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
+    TASK.SCREW.rms_error, .max_error               distance along a free screw of the contact [rad; m of a slide]
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
     joint.max_excess                               position beyond its limit [rad]
@@ -25,10 +34,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .contact import Contact
 from .log import Log
 from .qp import Array
 from .task import ForceTask, MotionTask
+from .wrench import VELOCITY_AXES, WRENCH_AXES
 
+SLIDING = 0.01  # [m/s] from which the direction of friction is judged
 ALWAYS = (
     "torque.max_excess", "torque.max_share", "torque_rate.max", "torque_rate.max_excess", "joint.max_excess",
     "ticks.not_ok", "ticks.limited", "ticks.degraded",
@@ -43,14 +55,18 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
             if isinstance(task, ForceTask):
                 names += [
                     f"{task.contact}.{axis}.{figure}"
-                    for axis in task.axes
+                    for axis in (*task.axes, *(WRENCH_AXES if task.wrench else ()))
                     for figure in ("rms_error", "max_error", "mean")
                 ]
                 names += [f"{task.contact}.{figure}" for figure in ("peak", "pull", "impact_error")]
-        names += [f"{contact}.lost" for contact in phase.contacts]
+        for name, contact in phase.contacts.items():
+            names += [f"{name}.{figure}" for figure in ("lost", "corners", *_of_push(contact))]
         for name, task in phase.tasks.items():
             if isinstance(task, MotionTask):
                 names += [f"{name}.{figure}" for figure in _MOTION]
+                names += [
+                    f"{name}.{screw}.{figure}" for screw in _screws(task) for figure in ("rms_error", "max_error")
+                ]
     return sorted(set(names))
 
 
@@ -58,6 +74,11 @@ _MOTION = (
     "position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max", "overshoot",
 )  # fmt: skip
 IMPACT = 0.02  # [s] after a touch in which its force is at its peak
+
+
+def _screws(task: MotionTask) -> tuple[str, ...]:
+    """Names of the free screws that a task moves along; the axes of a frame are in the figures of its pose."""
+    return () if task.contact is None or set(task.axes) <= set(VELOCITY_AXES) else task.axes
 
 
 def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
@@ -69,10 +90,13 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         if f"{name}.target" not in log:
             continue  # never active
         late = _late(log, [task.contact in map(_pressed, phase.tasks.values()) for phase in phases], settle)
-        lam, target = log[f"{name}.lam"], log[f"{name}.target"]
-        for i, axis in enumerate(task.axes):
-            out |= _errors(f"{name}.{axis}", (lam - target)[late, i])
-            out[f"{name}.{axis}.mean"] = float(lam[late, i].mean()) if late.any() else math.nan
+        pairs = [("lam", "target", task.axes)]
+        pairs += [("carried", "wanted", WRENCH_AXES)] if task.wrench else []  # where both have names, this
+        for got, wanted, axes in pairs:
+            value, target = log[f"{name}.{got}"], log[f"{name}.{wanted}"]
+            for i, axis in enumerate(axes):
+                out |= _errors(f"{name}.{axis}", (value - target)[late, i])
+                out[f"{name}.{axis}.mean"] = float(value[late, i].mean()) if late.any() else math.nan
         out |= _peaks(log, name, [i for i, axis in enumerate(task.axes) if axis[0] == "f" or axis == "normal"])
     for name in [name for name, task in tasks.items() if isinstance(task, MotionTask)]:
         if f"{name}.error" not in log:
@@ -82,6 +106,8 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         error, speed = log[f"{name}.error"][late], log[f"{name}.speed"]
         out |= _errors(f"{name}.position", np.linalg.norm(error[:, 3:], axis=1))
         out |= _errors(f"{name}.rotation", np.linalg.norm(error[:, :3], axis=1))
+        for i, screw in enumerate(_screws(tasks[name])):
+            out |= _errors(f"{name}.{screw}", log[f"{name}.along"][late][:, i])
         out[f"{name}.speed.max"] = float(speed[late].max()) if late.any() else math.nan
         beyond = (speed - log[f"{name}.desired_speed"])[always]
         out[f"{name}.overshoot"] = float(max(0.0, beyond.max())) if always.any() else math.nan
@@ -89,8 +115,10 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         force = np.linalg.norm(log[f"{name}.true"], axis=1) > 0.0
         active = [name in phase.contacts for phase in phases]
         held = _late(log, active, 0.0)
-        touched = np.maximum.accumulate(force & held) & _late(log, active, settle)
+        late = _late(log, active, settle)
+        touched = np.maximum.accumulate(force & held) & late
         out[f"{name}.lost"] = float((touched & ~force).sum()) if held.any() else math.nan
+        out |= _push(log, name, next(phase.contacts[name] for phase in phases if name in phase.contacts), late)
     return out | _limits(log)
 
 
@@ -118,6 +146,44 @@ def _peaks(log: Log, name: str, linear: list[int]) -> dict[str, float]:
     predicted, steps = log[f"{name}.predicted_peak"], round(IMPACT / log.meta["dt"])
     true = {i: force[i : i + steps].max() for i in np.flatnonzero(np.isfinite(predicted))}
     return out | {f"{name}.impact_error": float(max(abs(predicted[i] / true[i] - 1.0) for i in true))} if true else out
+
+
+def _of_push(contact: Contact) -> tuple[str, ...]:
+    """Figures of a contact that only pushes."""
+    pushes = contact.pushes
+    if pushes is None:
+        return ()
+    tilt = () if pushes.place is None else ("tilt",)
+    if not pushes.mu:
+        return tilt
+    sliding = () if len(pushes.held) else ("friction.angle", "friction.mu_error")
+    return (*tilt, *(("creep",) if len(pushes.slides) == 0 else sliding))
+
+
+def _push(log: Log, name: str, contact: Contact, late: NDArray[np.bool_]) -> dict[str, float]:
+    points = log[f"{name}.points"]
+    touched = np.maximum.accumulate(points > 0) & late
+    out = {f"{name}.corners": float(points[touched].min()) if touched.any() else math.nan}
+    wanted = _of_push(contact)
+    if "tilt" in wanted:
+        out[f"{name}.tilt"] = float(np.degrees(_largest(log[f"{name}.tilt"][touched])))
+    if "creep" in wanted or "friction.angle" in wanted:
+        slip, drag, push = (log[f"{name}.{key}"][touched] for key in ("slip", "drag", "push"))
+        speed = np.linalg.norm(slip, axis=1)
+        if "creep" in wanted:
+            out[f"{name}.creep"] = _largest(speed)
+        else:
+            fast = (speed > SLIDING) & (push > 0.0)
+            slip, drag, push, mu = slip[fast], drag[fast], push[fast], log[f"{name}.mu"][touched][fast]
+            turned = slip[:, 0] * drag[:, 1] - slip[:, 1] * drag[:, 0]
+            angle = np.arctan2(np.abs(turned), (slip * drag).sum(axis=1))
+            out[f"{name}.friction.angle"] = float(np.degrees(_largest(angle)))
+            out[f"{name}.friction.mu_error"] = _largest(np.abs(np.linalg.norm(drag, axis=1) / push - mu) / mu)
+    return out
+
+
+def _largest(values: Array) -> float:
+    return float(values.max()) if values.size else math.nan
 
 
 def _errors(name: str, error: Array) -> dict[str, float]:

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from . import analytic
+from .contact import Contact
 from .controller import Memory, Phase
 from .qp import Array
 from .robot import Robot, State
@@ -48,7 +49,7 @@ def closed_form(
     known = np.zeros(robot.nv)
     for name in set(phase.fed) & set(given):
         contact = phase.contacts[name]
-        known += dynamics(contact.frame).J.T @ analytic.wrench_residual(contact.A(state), given[name].F)
+        known += dynamics(contact.frame).J.T @ _known(contact, state, given[name].F)
     dynamics = _loaded(dynamics, known)
     base = dynamics(frames[0])
     posture = next((task for task in phase.tasks.values() if isinstance(task, PostureTask)), None)
@@ -60,11 +61,19 @@ def closed_form(
         tau = _hybrid(robot, phase, law, state, motions[0], held, adot, commands, dynamics, vdot_posture)
     else:
         tau = _stacked(phase, law, state, motions, held, adot, commands, dynamics, base, vdot_posture)
+    reactions = {name: A.T for name, (A, _) in held.items()}
+    for name, contact in phase.contacts.items():
+        if contact.pushes is not None and contact.pushes.modelled:
+            A, d = held[name]
+            reactions[name] = _sliding_map(contact, state, A, d)
+            pressed = _pressed(law if name in force_tasks(phase) else "compensated", A, d, commands[name], adot[name])
+            tau = tau + analytic.sliding_torque(d.J, A, reactions[name], pressed)
     # what a rigid contact makes of that torque
     G = np.concatenate([np.zeros((0, robot.nv)), *(A @ d.J for A, d in held.values())])
     rhs = np.concatenate([np.zeros(0), *(-(held[n][0] @ held[n][1].drift + adot[n]) for n in held)])
     k = rhs.size
-    answer = np.linalg.solve(np.block([[base.M, G.T], [G, np.zeros((k, k))]]), np.r_[tau - base.h, rhs])
+    push = np.concatenate([np.zeros((0, robot.nv)), *(reactions[name].T @ d.J for name, (_, d) in held.items())])
+    answer = np.linalg.solve(np.block([[base.M, push.T], [G, np.zeros((k, k))]]), np.r_[tau - base.h, rhs])
     lam, start = {}, robot.nv
     for name, (A, _) in held.items():
         lam[name] = answer[start : start + A.shape[0]]
@@ -80,6 +89,44 @@ def _loaded(dynamics: Callable[[str], Dynamics], known: Array) -> Callable[[str]
         return d._replace(h=d.h + known)
 
     return of
+
+
+def _known(contact: Contact, state: State, F: Array) -> Array:
+    """(6,) the measured wrench along the free axes, its drag within the cone of the measured push."""
+    free = analytic.wrench_residual(contact.A(state), F)
+    if contact.pushes is None or not contact.pushes.mu:
+        return free
+    d, slides = _across(contact, state)
+    return analytic.capped_friction(free, slides, contact.pushes.mu * float(d @ F[3:]))
+
+
+def _across(contact: Contact, state: State) -> tuple[Array, Array]:
+    """The direction of the push (3,) and those of sliding (s, 3), in the axes of the frame."""
+    assert contact.pushes is not None
+    turn = contact.turn(state)
+    R = np.eye(3) if turn is None else turn
+    return R @ contact.pushes.d, contact.pushes.slides @ R.T
+
+
+def _sliding_map(contact: Contact, state: State, A: Array, dynamics: Dynamics) -> Array:
+    """(6, k) B of a contact that slides, along its velocity or, at rest, along the desired one."""
+    pushes = contact.pushes
+    assert pushes is not None
+    d, slides = _across(contact, state)
+    v_d = np.zeros(3)
+    if pushes.guide is not None:
+        desired = pushes.guide(state.t)
+        v_d = dynamics.T[:3, :3].T @ desired.T.rotation @ desired.V[3:]
+    u = analytic.sliding_direction(slides @ dynamics.V[3:], slides @ v_d, pushes.slip)
+    return analytic.sliding_map(A, d, u @ slides, pushes.mu)
+
+
+def _pressed(law: Law, A: Array, d: Dynamics, F: Array, Adot_V: Array) -> Array:
+    """(k,) the multipliers with which the law presses."""
+    if law == "compensated":
+        return analytic.multiplier_error(A, F)
+    G = A @ d.J
+    return analytic.dynamically_consistent_inverse(d.M, G).T @ d.J.T @ F + analytic.task_inertia(d.M, G) @ Adot_V
 
 
 def _hybrid(

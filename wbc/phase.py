@@ -87,7 +87,7 @@ def carry(state: State, phase: Phase) -> None:
     for name in phase.fed:
         if name in state.measured:
             held = state.contacts[name]
-            state.carry(held.frame, held.unconstrained(state.measured[name]))
+            state.carry(held.frame, phase.contacts[name].known(state, held, state.measured[name]))
 
 
 class Program:
@@ -121,6 +121,8 @@ class Program:
         hard = [
             c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in phase.contacts.items()
         ]
+        self.pushing = {name: c.pushes for name, c in phase.contacts.items() if c.pushes is not None}
+        hard += self._cones(state)
         hard.append(torque_map(state).rows(phase.torque.low, phase.torque.high, phase.torque.labels))
         joint = (
             phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
@@ -152,11 +154,18 @@ class Program:
         phase = self.phase
         self._costs = self.costs(state)
         self._hard = [contact.rows(name, state.contacts[name]) for name, contact in phase.contacts.items()]
+        if self.pushing:
+            self._hard += self._cones(state)
         self._hard.append(torque_map(state).rows(*bounds))
         if phase.joint is not None:
             self._hard.append(phase.joint.rows(state.q, state.v, dt))
         self.last = self.strict
         return _fill(self.strict, self._costs, self._hard)
+
+    def _cones(self, state: State) -> list[Rows]:
+        """Inequalities of the contacts that only push."""
+        cones = ((name, pushes, state.contacts[name].cone) for name, pushes in self.pushing.items())
+        return [pushes.rows(name, cone) for name, pushes, cone in cones if cone is not None]
 
     def relax(self, state: State) -> bool:
         """The problem with joint viability yielding; dynamics, torque and rate never do. False without joint limits."""
@@ -211,7 +220,8 @@ class Program:
 
     def names(self, z: Array, found: list[int], state: State, tau_last: Array, dt: float) -> tuple[str, ...]:
         """Names of active rows of the last problem, with which of two limits it is that binds."""
-        joints, names = state.robot.joints, []
+        joints = state.robot.joints
+        names = [f"{name}.{state.loops[name].cut}" for name in self.pushing if state.loops[name].cut]
         for i in found:
             label = self.last.labels[i]
             kind, _, joint = label[:-1].partition("[")
@@ -220,7 +230,7 @@ class Program:
             elif kind == "joint" and self.phase.joint is not None:
                 label = self.phase.joint.name(joints.index(joint), bool(z[i] > 0.0), state.q)
             names.append(label)
-        return tuple(names)
+        return tuple(dict.fromkeys(names)) if self.pushing else tuple(names)
 
 
 def _fill(workspace: Workspace, costs: Sequence[tuple[Rows, float]], hard: Sequence[Rows]) -> bool:

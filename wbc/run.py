@@ -6,14 +6,14 @@ import gc
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import analytic
+from . import analytic, material
 from .build import Built
 from .contact import Contact
 from .controller import Controller, Output, Status
@@ -21,9 +21,8 @@ from .errors import SimulationError
 from .log import Log
 from .metrics import metrics
 from .model import quietly
-from .qp import Array
 from .robot import State
-from .sim import Observation, Simulator
+from .sim import Observation, Simulator, Touch
 from .task import ForceTask, MotionTask
 from .transition import STOP
 
@@ -81,7 +80,8 @@ def run(
         broken = str(error)
     finally:
         gc.unfreeze()
-    return Result(log, _summary(built, log, time.perf_counter() - began, broken))
+    notes = [*built.notes, *_validity(built, log, simulator.model)]
+    return Result(log, _summary(built, log, time.perf_counter() - began, broken, notes))
 
 
 def _loop(
@@ -97,11 +97,11 @@ def _loop(
         out = controller.step(seen.t, seen.q, seen.v, measured=given)
         took = time.perf_counter() - before
         simulator.apply(out.tau)
-        true = {name: simulator.true_wrench(contact.frame) for name, contact in contacts.items()}
+        true = {name: simulator.true_touch(contact.frame) for name, contact in contacts.items()}
         measured = simulator.measured(controller.state, out.vdot)
         row = _row(controller, seen, out, took) | _contact_rows(controller, out, contacts, true)
         for name, contact in contacts.items():
-            touching = bool(true[name].any())
+            touching = bool(true[name].F.any())
             if touching and not touched[name] and name not in controller.phase.contacts:
                 row[f"{name}.predicted_peak"] = _predicted_peak(simulator, controller.state, contact.frame)
             touched[name] = touching
@@ -150,9 +150,10 @@ def _row(controller: Controller, seen: Observation, out: Output, took: float) ->
     for name, task in phase.tasks.items():
         if isinstance(task, ForceTask):
             row[f"{task.contact}.target"] = task.desired(state)
+            row[f"{task.contact}.wanted"] = state.contacts[task.contact].A.T @ row[f"{task.contact}.target"]
         elif isinstance(task, MotionTask):
             frame, desired = state.frame(task.frame), task.desired(state)
-            row[f"{name}.error"] = task.error(state)
+            row |= {f"{name}.error": task.error(state), f"{name}.along": task.along(state)}
             row |= {f"{name}.position": frame.T.translation, f"{name}.desired": desired.T.translation}
             row[f"{name}.speed"] = np.linalg.norm(frame.V[3:])
             row[f"{name}.desired_speed"] = np.linalg.norm(desired.V[3:])
@@ -160,14 +161,19 @@ def _row(controller: Controller, seen: Observation, out: Output, took: float) ->
 
 
 def _contact_rows(
-    controller: Controller, out: Output, contacts: Mapping[str, Contact], true: Mapping[str, Array]
+    controller: Controller, out: Output, contacts: Mapping[str, Contact], true: Mapping[str, Touch]
 ) -> dict[str, Any]:
     """True, predicted and measured wrenches, also of contacts that are not active."""
     state, row, unknown = controller.state, dict[str, Any](), np.full(6, np.nan)
     for name, contact in contacts.items():
         held = state.contacts.get(name)
         inverse = contact.pseudo_inverse(contact.A(state)) if held is None else held.inverse
-        row |= {f"{name}.true": true[name], f"{name}.lam": inverse @ true[name]}
+        row |= {f"{name}.true": true[name].F, f"{name}.lam": inverse @ true[name].F}
+        row[f"{name}.carried"] = (contact.A(state) if held is None else held.A).T @ row[f"{name}.lam"]
+        row |= {f"{name}.points": true[name].points, f"{name}.mu": true[name].mu}
+        if held is not None and contact.pushes is not None:
+            told = contact.pushes.told(contact, state, true[name].F)
+            row |= {f"{name}.{quantity}": value for quantity, value in told.items()}
         row[f"{name}.predicted"] = out.wrenches.get(name, unknown)
         row[f"{name}.measured"] = state.measured.get(name, unknown)
     return row
@@ -193,7 +199,17 @@ def _meta(built: Built, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _summary(built: Built, log: Log, wall: float, broken: str) -> dict[str, Any]:
+def _validity(built: Built, log: Log, model: Any) -> Iterator[str]:
+    """Where the contact parameters of declared surfaces were not made for what the run did."""
+    late = log["t"] >= built.spec.expect.settle - 1e-9 if log.size else np.zeros(0, bool)
+    for name in sorted({name for phase in built.phases for name in phase.contacts if f"{name}.slip" in log}):
+        speed = np.linalg.norm(log[f"{name}.slip"][late], axis=1)
+        for surface in material.of_model(model):
+            if note := material.worst(surface, model, log[f"{name}.push"][late], speed, log[f"{name}.points"][late]):
+                yield note
+
+
+def _summary(built: Built, log: Log, wall: float, broken: str, notes: list[str]) -> dict[str, Any]:
     figures = metrics(log, built.phases, built.spec.expect.settle) if log.size else {}
     figures = {name: value for name, value in figures.items() if math.isfinite(value)}
     checks = _checks(built, figures)
@@ -210,7 +226,7 @@ def _summary(built: Built, log: Log, wall: float, broken: str) -> dict[str, Any]
         "status": {name: count for name, count in status.items() if count},
         "step_us": dict(zip(("p50", "p99", "max"), us, strict=True)),
         "phases": log.meta["changes"] if built.spec.phases else [],
-        "notes": built.notes,
+        "notes": notes,
     }
     return summary | ({"broken": broken} if broken else {})
 

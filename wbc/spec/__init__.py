@@ -10,7 +10,7 @@ whole.
 """
 
 from ..axes import RECIPROCAL, VELOCITY_AXES, WRENCH_AXES
-from .contact import NORMAL, Contact, FreeMotion, Screw
+from .contact import NORMAL, Contact, FreeMotion, Friction, Push, Screw
 from .document import MAX_ENTRIES, Spec, json_schema, load
 from .fields import Model
 from .limit import Bound, Expect, Limits, Margin, Noise, Plant, Scale
@@ -30,5 +30,5 @@ __all__ = [
     "load",
 ]
 __all__ += ["Circle", "Curve", "Hold", "Line", "Lissajous", "Quintic", "Reference"]
-__all__ += ["Contact", "ForceTask", "FreeMotion", "MotionTask", "PostureTask", "Screw", "Task"]
+__all__ += ["Contact", "ForceTask", "FreeMotion", "Friction", "MotionTask", "PostureTask", "Push", "Screw", "Task"]
 __all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until", "Within"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, Field, Tag
+from pydantic import AfterValidator, Field, Strict, Tag
 
 from ..axes import RECIPROCAL, VELOCITY_AXES, WRENCH_AXES
 from ..errors import did_you_mean
@@ -16,6 +16,7 @@ from .fields import (
     Axis,
     Model,
     Name,
+    NonNegative,
     Number,
     OneOf,
     Positive,
@@ -51,6 +52,37 @@ class FreeMotion(Model):
     """One motion that the contact leaves free."""
 
     screw: Screw = Field(description="the screw axis of the motion")
+
+
+Side = Literal["x", "y", "z", "+x", "+y", "+z", "-x", "-y", "-z"]
+
+
+class Push(Model):
+    """The direction in which the world only lets itself be pushed."""
+
+    along: Side = Field(
+        description="direction of the push on the world, in the axes of A (z: a surface's normal): -z, ..."
+    )
+    least: NonNegative = Field(default=0.0, description="smallest push [N]")
+
+
+class Friction(Model):
+    """Coulomb friction across the push."""
+
+    mu: Positive = Field(description="friction coefficient [1]")
+    faces: Annotated[int, Strict()] = Field(
+        default=8, ge=3, le=64, description="faces of the inner cone; 4 lose up to 29 % of the friction, 8 up to 7.6 %"
+    )
+    slip: Positive = Field(
+        default=0.005, description="speed below which the drag follows the desired velocity instead of the own [m/s]"
+    )
+
+
+Pushes = Annotated[Annotated[Side, Tag("<name>")] | Annotated[Push, Tag("<map>")], either("a direction such as -z")]
+Coefficient = Annotated[
+    Annotated[Positive, Tag("<number>")] | Annotated[Friction, Tag("<map>")],
+    either("a friction coefficient or a mapping with mu"),
+]
 
 
 class Sphere(Model):
@@ -98,8 +130,13 @@ class Contact(OneOf):
     surface: Surface | None = Field(
         default=None, description="a curved surface that holds the frame along its outward normal"
     )
-    feedforward: Literal["none", "measured"] = Field(
-        default="none", description="measured: the measured wrench along the free axes counts as known"
+    pushes: Pushes | None = Field(
+        default=None, description="direction in which the world only pushes back: -z, +x, ..."
+    )
+    friction: Coefficient | None = Field(default=None, description="Coulomb friction across the push [1]")
+    feedforward: Literal["none", "measured", "modelled"] = Field(
+        default="none",
+        description="along the free axes: nothing, the measured wrench, or the friction of sliding in the model",
     )
     artificial: dict[str, Artificial] = Field(
         default={}, description="targets: velocities [rad/s, m/s], wrenches on the environment [N m, N], or references"
@@ -152,9 +189,44 @@ class Contact(OneOf):
             return rows or (self.force_axes if self.holds != "all" and self.free is None else None)
         return self.free_axes if self.natural is not None or self.free is not None else None
 
+    @property
+    def push(self) -> Push | None:
+        """`pushes` in full."""
+        return Push(along=self.pushes) if isinstance(self.pushes, str) else self.pushes
+
+    @property
+    def coulomb(self) -> Friction | None:
+        """`friction` in full."""
+        return self.friction if isinstance(self.friction, Friction | None) else Friction(mu=self.friction)
+
     def _faults(self) -> Iterable[Message]:
         rules = {"natural": self._table, "surface": self._of_surface}
-        return list(super()._faults()) or rules.get(self.kind, self._entries)()
+        return list(super()._faults()) or list(rules.get(self.kind, self._entries)()) or self._across()
+
+    def _across(self) -> Iterator[Message]:
+        """The push and its friction, beside what the contact holds."""
+        if self.push is None:
+            if self.friction is not None:
+                yield ("friction",), "needs the direction of the push; expected `pushes: -z` beside it, or another side"
+        else:
+            side = self.push.along
+            axis, force = f"v{side[-1]}", f"f{side[-1]}"
+            path = ("pushes",) if isinstance(self.pushes, str) else ("pushes", "along")
+            held = ", ".join(f"-{name[-1]}" for name in self.constrained if name.startswith("v"))
+            if self.constrained and axis not in self.constrained:
+                yield path, f"{axis} is free, so nothing is pushed along {side}; expected a side that is held: {held}"
+            target = self.wrench_targets.get(force)
+            pushed = -1 if side.startswith("-") else 1
+            if isinstance(target, float) and pushed * target < self.push.least:
+                under = () if self.natural is not None else ("wrench",)
+                bound = f"at {'most' if pushed < 0 else 'least'} {pushed * self.push.least:g}"
+                message = f"{target:g} N is less than the least push along {side}; expected {bound}"
+                yield ("artificial", *under, force), message
+        if self.feedforward == "modelled" and self.friction is None:
+            yield ("feedforward",), "modelled friction needs its coefficient; expected `friction: MU` beside it"
+        elif self.feedforward == "modelled" and {"vx", "vy", "vz"} <= set(self.constrained):
+            message = "nothing slides, for vx, vy and vz are held; expected none or measured"
+            yield ("feedforward",), f"modelled friction is that of sliding, but {message}"
 
     def _of_surface(self) -> Iterator[Message]:
         """A surface holds the frame along its normal, and leaves one motion on it."""
