@@ -44,6 +44,7 @@ def made(active, fz=-10.0, **more):
         }
         row |= {"torque_rate_limit": np.ones(n), "q": np.zeros(n)}
         row |= {"board.true": np.r_[0, 0, 0, 0, 0, value], "board.lam": np.array([0.0, value])}
+        row["board.asked"] = np.array([0.0, value if on else np.nan])
         name = "draw" if on else "lift"
         row |= {f"{name}.error": np.array([0, 0, 0, 1e-3, 0, 0]), f"{name}.speed": 0.1, f"{name}.desired_speed": 0.1}
         if on:
@@ -93,6 +94,8 @@ def test_peak_and_pull_are_along_the_target_and_of_every_tick():
     found = metrics(made([range(100, 300)], force), phases(), 0.05)
     assert found["board.peak"] == pytest.approx(25.0)
     assert found["board.pull"] == pytest.approx(3.0)
+    assert found["board.asked_pull"] == 0.0  # the pull is not in a tick in which the contact is active
+    assert metrics(made([range(100, 400)], force), phases(), 0.05)["board.asked_pull"] == pytest.approx(3.0)
     assert metrics(made([range(100, 300)]), phases(), 0.05)["board.pull"] == 0.0
 
 

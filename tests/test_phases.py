@@ -336,7 +336,7 @@ def test_a_way_to_a_phase_that_does_not_exist_is_refused():
             "{fx: 0, fy: 0, mx: 0, my: 0, mz: 0, vz: 0}\n    artificial: {vx: 0, ",
             "{vx: 0, fy: 0, mx: 0, my: 0, mz: 0, vz: 0}\n    artificial: {fx: 0, ",
             "phases.approach.until.board.distance",
-            "contact 'board' holds vx, vz; expected one that holds a single one of vx, vy, vz",
+            "contact 'board' holds vx, vz; expected one that `pushes`, or holds one of vx, vy, vz alone",
         ),
     ],
     ids=["a speed never ends", "a periodic path never ends", "no one direction"],

@@ -11,7 +11,7 @@ import pytest
 
 from wbc import analytic
 from wbc.build import build
-from wbc.resources import shipped_names
+from wbc.resources import shipped_folder, shipped_names
 from wbc.run import run
 from wbc.spec import load
 
@@ -129,6 +129,11 @@ class TestLiftoff:
     def test_faster_the_bar_is_missed(self):
         finished = result("chalk_liftoff", "references.down.line.time=1.5", "duration=1.5")
         assert "board.peak" in [check["name"] for check in finished.summary["checks"] if not check["ok"]]
+
+    def test_only_a_contact_that_pushes_is_never_asked_to_pull(self, tmp_path):
+        text = (shipped_folder("tasks") / "chalk_liftoff.yaml").read_text()
+        (tmp_path / "pulls.yaml").write_text(text.replace("    pushes: -z\n", "").replace("duration: 9", "duration: 2"))
+        assert run(build(load(tmp_path / "pulls.yaml"))).summary["metrics"]["board.asked_pull"] > 0.5
 
     def test_contacts_come_and_go(self):
         log = result("chalk_liftoff").log
