@@ -17,6 +17,7 @@ SPECS: dict[str, dict[str, float]] = {
         "board.peak": 30.0,  # [N] three times the target, at 0.02 m/s
         "board.impact_error": 0.15,
         "board.pull": 0,
+        "board.asked_pull": 1e-6,
         "lift.overshoot": 0.01,  # [m/s]
     },
     "eraser_noisy": {"board.fz.rms_error": 0.05},  # sensor noise of 0.2 N

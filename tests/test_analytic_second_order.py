@@ -129,3 +129,32 @@ class TestFrequencyResponse:
         L = analytic.measurement(2 * np.pi * 30, cutoff=30.0)
         assert abs(L) ** 2 == pytest.approx(0.5)
         assert np.angle(L) == pytest.approx(-np.pi / 4)
+
+
+class TestImpact:
+    @pytest.mark.parametrize("zeta", [0.0, 1e-6, 0.05, 0.3, 0.49, 0.5, 0.51, 0.9, 1.0, 1.5, 6.0])
+    def test_is_the_largest_force_on_the_way(self, zeta: float) -> None:
+        m, k, v = 4.0, 9e4, 0.02
+        b = 2 * zeta * np.sqrt(k * m)
+        X = np.array([[0.0, 1.0], [-k / m, -b / m]])
+        step, state, forces = scipy.linalg.expm(1e-5 * X), np.array([0.0, v]), []
+        for _ in range(3000):  # to beyond a quarter of a period
+            forces.append(k * state[0] + b * state[1])
+            state = step @ state
+        assert analytic.impact_peak(m, b, k, v) == pytest.approx(max(forces), rel=1e-6)
+
+    def test_grows_with_speed_and_is_v_sqrt_km_without_damping(self) -> None:
+        assert analytic.impact_peak(4.0, 0.0, 9e4, 0.02) == pytest.approx(0.02 * np.sqrt(4.0 * 9e4))
+        assert analytic.impact_peak(4.0, 300.0, 9e4, 0.06) == pytest.approx(
+            3 * analytic.impact_peak(4.0, 300, 9e4, 0.02)
+        )
+        assert analytic.impact_peak(4.0, 300.0, 9e4, 0.0) == 0.0
+        assert analytic.impact_peak(4.0, 300.0, 0.0, 0.02) == pytest.approx(6.0)
+
+    @pytest.mark.parametrize(
+        ("arguments", "name"),
+        [((0, 1, 1, 1), "m"), ((1, -1, 1, 1), "b"), ((1, 1, np.nan, 1), "k"), ((1, 1, 1, -1), "v")],
+    )
+    def test_what_is_no_mass_spring_damper_or_speed_is_refused(self, arguments, name) -> None:
+        with pytest.raises(GainError, match=f"^{name}: got"):
+            analytic.impact_peak(*arguments)

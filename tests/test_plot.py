@@ -260,6 +260,24 @@ def test_status_and_active_limits_over_time():
     assert [text.get_text() for text in axes["active"].texts][:2] == ["torque[joint2]   5", "friction[foot]   3"]
 
 
+def test_phases_stand_side_by_side_and_their_changes_on_every_time_axis():
+    changes = [("approach", 0.0), ("write", 0.05), ("leave", 0.19)]
+    log = make_log(**{"board.target": absent(50, 3)})
+    log.meta["changes"] = [{"name": name, "start": start, "why": ""} for name, start in changes]
+    axes = panels(figure(log, make_summary(log)))
+    strip = axes["phases"]
+    assert [text.get_text() for text in strip.texts] == ["approach", "write", "le…"]  # as long as there is room
+    spans = [(span.get_x(), span.get_x() + span.get_width()) for span in strip.patches[1:]]
+    assert spans == [pytest.approx(ends) for ends in ((0, 0.05), (0.05, 0.19), (0.19, 0.2))]
+    for name in ("board [N]", "board error [N]", "torques", "tracking", "status", "active"):
+        marked = {line.get_xdata()[0] for line in axes[name].lines if list(line.get_ydata()) == [0, 1]}
+        assert {0.05, 0.19} <= marked, name
+    # the settling of a contact is shaded from where it begins
+    assert [(span.get_x(), span.get_width()) for span in axes["board [N]"].patches] == [pytest.approx((0.05, 0.05))]
+    assert [(span.get_x(), span.get_width()) for span in axes["torques"].patches] == [pytest.approx((0.0, 0.05))]
+    assert "phases" not in panels(figure(make_log(), make_summary(log)))
+
+
 def test_limits_beyond_the_rows_are_counted():
     log = make_log(5)
     log.active[2] = tuple(f"torque[joint{i}]" for i in range(11))

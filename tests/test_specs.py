@@ -9,8 +9,9 @@ import bars
 import numpy as np
 import pytest
 
+from wbc import analytic
 from wbc.build import build
-from wbc.resources import shipped_names
+from wbc.resources import shipped_folder, shipped_names
 from wbc.run import run
 from wbc.spec import load
 
@@ -52,9 +53,10 @@ def test_spec_meets_its_bars(name):
 
 
 # with daqp above; the other solver runs as long only in a large campaign
-@pytest.mark.parametrize("name", SHIPPED if LARGE else ["eraser", "eraser_weak"])
+@pytest.mark.parametrize("name", SHIPPED if LARGE else ["chalk_liftoff", "eraser", "eraser_weak"])
 def test_spec_meets_its_bars_with_proxqp(name):
-    hold(name, result(name, "solver=proxqp", *([] if LARGE else ["duration=4"])))
+    short = [] if LARGE or name == "chalk_liftoff" else ["duration=4"]
+    hold(name, result(name, "solver=proxqp", *short))
 
 
 def test_another_arm_is_one_word():
@@ -101,6 +103,45 @@ class TestWeakMotors:
         for value in (force, error):
             step = value[back - 1]
             assert (-np.sign(step) * value[after]).max() <= bars.WEAK_OVERSHOOT * abs(step)
+
+
+class TestLiftoff:
+    """`chalk_liftoff`: the impact is foretold from the scene, the model and the speed of the approach alone."""
+
+    def foretold(self, speed):
+        built = build(load("chalk_liftoff"))
+        robot, mj = built.robot, built.robot.mujoco
+        state = robot.state(built.q, np.zeros(7))
+        row = state.frame("chalk").J[5]
+        mass = 1.0 / float(row @ np.linalg.solve(state.M, row))
+        board = mj.geom("board").id
+        (time, ratio), (d_min, d_max) = mj.geom_solref[board], mj.geom_solimp[board][:2]
+        # x'' = d (-b x' - k x) at the first touch, where d is d_min
+        b, k = 2.0 / (d_max * time), 1.0 / (d_max * time * ratio) ** 2
+        return analytic.impact_peak(mass, mass * d_min * b, mass * d_min * k, speed)
+
+    @pytest.mark.parametrize(("speed", "more"), [(0.02, ()), (0.05, ("references.down.line.time=1.5", "duration=1.5"))])
+    def test_the_peak_is_foretold_within_the_bar(self, speed, more):
+        peak = result("chalk_liftoff", *more).summary["metrics"]["board.peak"]
+        assert abs(self.foretold(speed) / peak - 1.0) <= bars.SPECS["chalk_liftoff"]["board.impact_error"]
+        assert 2.0 * speed / 0.01 * 3.0 < peak < 2.0 * speed / 0.01 * 6.0  # of a mass of 3 to 6 kg
+
+    def test_faster_the_bar_is_missed(self):
+        finished = result("chalk_liftoff", "references.down.line.time=1.5", "duration=1.5")
+        assert "board.peak" in [check["name"] for check in finished.summary["checks"] if not check["ok"]]
+
+    def test_only_a_contact_that_pushes_is_never_asked_to_pull(self, tmp_path):
+        text = (shipped_folder("tasks") / "chalk_liftoff.yaml").read_text()
+        (tmp_path / "pulls.yaml").write_text(text.replace("    pushes: -z\n", "").replace("duration: 9", "duration: 2"))
+        assert run(build(load(tmp_path / "pulls.yaml"))).summary["metrics"]["board.asked_pull"] > 0.5
+
+    def test_contacts_come_and_go(self):
+        log = result("chalk_liftoff").log
+        assert [log.meta["phases"][int(i)] for i in sorted(set(log["phase"]))] == ["approach", "write", "leave"]
+        assert [entry["name"] for entry in log.meta["changes"]] == ["approach", "write", "leave"]
+        leave = np.flatnonzero(log["phase"] == 2)
+        assert (log["board.true"][leave[20:]] == 0.0).all()  # gone, and not to come back
+        assert log["lift.position"][-1][2] == pytest.approx(0.35, abs=1e-4)
 
 
 def test_a_run_is_repeated_bit_for_bit_by_its_seed():

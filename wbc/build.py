@@ -220,7 +220,7 @@ def _reading(base: Geometry, path: Place, quantity: str, tasks: Mapping[str, Tas
         read = base.distance(subject, q)
         if read is None:
             held = ", ".join(base.spec.contacts[subject].constrained) or "no axis"
-            message = f"contact {subject!r} holds {held}; expected one that holds a single one of vx, vy, vz"
+            message = f"contact {subject!r} holds {held}; expected one that `pushes`, or holds one of vx, vy, vz alone"
             base.faults.add(path, message)
         return read
     task = tasks.get(subject)

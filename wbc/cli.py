@@ -264,6 +264,10 @@ def _tell_run(summary: dict[str, Any], folder: Path) -> None:
     console.print(table)
     if "broken" in summary:
         console.print(Text(summary["broken"], "red"))
+    for phase in summary["phases"]:
+        console.print(
+            Text(f"{phase['start']:7.3f} s  {phase['name']}" + (f"  ({why})" if (why := phase["why"]) else ""))
+        )
     status = ", ".join(f"{name} {count}" for name, count in summary["status"].items())
     us = summary["step_us"]
     console.print(f"{summary['ticks']} ticks: {status}; tick {us['p50']:.0f} us median, {us['p99']:.0f} us p99")

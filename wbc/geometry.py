@@ -127,6 +127,9 @@ class Geometry:
         place, _ = self._on(name, entry, q)
         if entry.surface is not None and entry.surface.sphere is not None:
             return quantity.from_sphere(entry.frame, place.translation, entry.surface.sphere.radius)
+        if entry.push is not None:
+            outward = -1.0 if entry.push.along.startswith("+") else 1.0
+            return quantity.from_plane(entry.frame, place, "xyz".index(entry.push.along[-1]), outward)
         linear = [VELOCITY_AXES.index(axis) - 3 for axis in entry.constrained if axis[0] == "v"]
         return quantity.from_plane(entry.frame, place, linear[0]) if len(linear) == 1 else None
 

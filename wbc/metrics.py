@@ -4,6 +4,7 @@
         of screws and matrices also along the wrench axes mx ... fz, of what the constraint causes: A' lambda
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
     CONTACT.peak, .pull                            largest force along its target, and against it, at any time [N]
+    CONTACT.asked_pull                             the latter of what the controller asks for and predicts [N]
     CONTACT.impact_error                           of the predicted peak of a touch, as a share of the true one [1]
     CONTACT.corners                                least number of points of contact that carried a force
   of a contact that `pushes`, and with `friction` the next three:
@@ -64,7 +65,7 @@ def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
                     for axis in (*task.axes, *(WRENCH_AXES if task.wrench else ()))
                     for figure in ("rms_error", "max_error", "mean")
                 ]
-                names += [f"{task.contact}.{figure}" for figure in ("peak", "pull", "impact_error")]
+                names += [f"{task.contact}.{figure}" for figure in ("peak", "pull", "asked_pull", "impact_error")]
         for name, contact in phase.contacts.items():
             names += [f"{name}.{figure}" for figure in ("lost", "corners", *_of_push(contact))]
         for name, task in phase.tasks.items():
@@ -145,8 +146,9 @@ def _peaks(log: Log, name: str, linear: list[int]) -> dict[str, float]:
     size = float(np.linalg.norm(known.mean(axis=0))) if known.size else 0.0
     if not size:
         return {}
-    force = log[f"{name}.lam"][:, linear] @ (known.mean(axis=0) / size)
+    force, asked = (log[f"{name}.{which}"][:, linear] @ (known.mean(axis=0) / size) for which in ("lam", "asked"))
     out = {f"{name}.peak": float(force.max()), f"{name}.pull": float(max(0.0, -force.min()))}
+    out[f"{name}.asked_pull"] = float(max(0.0, -np.nanmin(asked))) if np.isfinite(asked).any() else math.nan
     if f"{name}.predicted_peak" not in log:
         return out
     predicted, steps = log[f"{name}.predicted_peak"], round(IMPACT / log.meta["dt"])

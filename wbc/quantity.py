@@ -1,7 +1,7 @@
 """The measured quantities that end a phase, as readings of a state.
 
 CONTACT.AXIS       wrench of the robot on the environment, at the contact's frame, also of one that is not active
-CONTACT.distance   of its frame from where the contact holds it, along the axis that it holds [m]
+CONTACT.distance   of its frame from where the contact holds it, against its push or along the one axis held [m]
 TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s]
 TASK.done          1 when the reference, and what led into it, have come to rest for good
 
@@ -31,9 +31,10 @@ def force(contact: str, axis: int) -> Reading:
     return read
 
 
-def from_plane(frame: str, place: pin.SE3, axis: int) -> Reading:
-    """How far a frame is beyond `place`, along axis 0 .. 2 of that pose [m]."""
-    normal, origin = place.rotation[:, axis].copy(), float(place.rotation[:, axis] @ place.translation)
+def from_plane(frame: str, place: pin.SE3, axis: int, side: float = 1.0) -> Reading:
+    """How far a frame is beyond `place`, on the `side` (1 or -1) of its axis 0 .. 2 [m]."""
+    normal = side * place.rotation[:, axis]
+    origin = float(normal @ place.translation)
     return lambda state: float(normal.dot(state.frame(frame).T.translation)) - origin
 
 

@@ -222,6 +222,7 @@ def _contact_rows(
             told = contact.pushes.told(contact, state, true[name].F)
             row |= {f"{name}.{quantity}": value for quantity, value in told.items()}
         row[f"{name}.predicted"] = out.wrenches.get(name, unknown)
+        row[f"{name}.asked"] = inverse @ row[f"{name}.predicted"]
         row[f"{name}.measured"] = state.measured.get(name, unknown)
     return row
 
@@ -250,8 +251,8 @@ def _meta(built: Built, seed: int) -> dict[str, Any]:
 
 def _validity(built: Built, log: Log, model: Any) -> Iterator[str]:
     """Where the contact parameters of declared surfaces were not made for what the run did."""
-    late = log["t"] >= built.spec.expect.settle - 1e-9 if log.size else np.zeros(0, bool)
     for name in sorted({name for phase in built.phases for name in phase.contacts if f"{name}.slip" in log}):
+        late = log.late(np.isfinite(log[f"{name}.push"]), built.spec.expect.settle)
         speed = np.linalg.norm(log[f"{name}.slip"][late], axis=1)
         for surface in material.of_model(model):
             if note := material.worst(surface, model, log[f"{name}.push"][late], speed, log[f"{name}.points"][late]):
