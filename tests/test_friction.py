@@ -269,7 +269,8 @@ class TestTargets:
 
 def test_a_target_that_leaves_the_cone_in_a_run_neither_slips_nor_winds_up():
     # up to 8 N east of the 6 N that the cone holds; right on the cone of the plant it would slip
-    finished = result("chalk_stick", "references.east.lissajous.size=[16]", "contacts.board.friction.mu=0.58")
+    sizes = ("references.east.lissajous.size=[16]", "references.north.lissajous.size=[8]")
+    finished = result("chalk_stick", *sizes, "contacts.board.friction.mu=0.58")
     log, figures = finished.log, finished.summary["metrics"]
     late = log["t"] > 1
     f = log["board.true"][late, 3:]
