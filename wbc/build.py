@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from . import quantity as quantities
 from . import spec as specs
 from .closing import CLOSED, Goal, close
 from .contact import Contact
 from .controller import Controller, Phase
 from .dynamics import mobility
 from .errors import did_you_mean
-from .faults import Faults
+from .faults import Faults, Place
 from .geometry import Geometry, components
 from .limit import JointLimit, TorqueLimit, make_limits
 from .metrics import vocabulary
@@ -27,9 +28,10 @@ from .qp import Array
 from .robot import Robot
 from .solver import Solver, make
 from .stability import Pole, damping_margin, force_poles
-from .task import ForceTask, Task
+from .task import ForceTask, MotionTask, Task
 from .tracking import Tracking, joint_values
-from .wrench import VELOCITY_AXES
+from .transition import STOP, Condition, Exit, Reading
+from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 
 @dataclass(frozen=True)
@@ -56,12 +58,17 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     faults.check()
     geometry = Geometry(spec, robot, faults)
     q_home = _start_joints(spec, robot, faults)
-    contacts, references = geometry.at(q_home)
+    geometry.at(q_home)
     faults.check()
     notes = _check_followed(geometry)
-    q = _close(q_home, geometry.goals(q_home, contacts, references), robot, faults)
     entries: Mapping[str, specs.Phase | None] = spec.phases or {"": None}
-    made = [_phase(geometry, name, entry, q) for name, entry in entries.items()]
+    first = replace(geometry, spec=_active(spec, next(iter(entries.values()))))
+    q = _close(q_home, first.goals(q_home, *first.at(q_home)), robot, faults)
+    followers = [*list(entries)[1:], ""]
+    made = [
+        _phase(geometry, name, entry, follower, q)
+        for (name, entry), follower in zip(entries.items(), followers, strict=True)
+    ]
     phases = [each.phase for each in made]
     _check_metrics(spec, phases, faults)
     faults.check()
@@ -140,13 +147,21 @@ class _Made(NamedTuple):
     margins: dict[str, float]
 
 
-def _phase(base: Geometry, name: str, entry: specs.Phase | None, q: Array) -> _Made:
+def _active(spec: specs.Spec, phase: specs.Phase | None) -> specs.Spec:
+    """A spec with the contacts and tasks that are active in a phase."""
+    if phase is None:
+        return spec
+    contacts = {name: spec.contacts[name] for name in phase.active("contacts", spec.contacts)}
+    tasks = {name: spec.tasks[name] for name in phase.active("tasks", spec.tasks)}
+    return spec.model_copy(update={"contacts": contacts, "tasks": tasks})
+
+
+def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, q: Array) -> _Made:
     """One phase; a spec without phases is a single one without a name."""
-    geometry, until = base, math.inf
+    geometry = base
     if entry is not None:
         spec = base.spec.with_set(entry.set) if entry.set else base.spec
-        geometry = replace(base, spec=spec, faults=base.faults.within(name, tuple(entry.set)))
-        until = entry.until.time if entry.until is not None else math.inf
+        geometry = replace(base, spec=_active(spec, entry), faults=base.faults.within(name, tuple(entry.set)))
     contacts, references = geometry.at(q)
     if len(contacts) < len(geometry.spec.contacts):
         geometry.faults.check()
@@ -154,7 +169,49 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, q: Array) -> _M
     weights = {task: geometry.spec.tasks[task].weight for task in tasks}
     poles, margins = _stability(geometry, contacts, tasks, q)
     torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
-    return _Made(Phase(contacts, tasks, weights, torque, joint, name, until), poles, margins)
+    exit_ = None if entry is None else _exit(base, name, entry, follower, tasks, q)
+    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins)
+
+
+def _exit(
+    base: Geometry, name: str, entry: specs.Phase, follower: str, tasks: Mapping[str, Task], q: Array
+) -> Exit | None:
+    """The ways out of a phase; None where there are none."""
+    conditions = entry.until.conditions if entry.until is not None else {}
+    if not conditions and entry.timeout is None and entry.lost is None:
+        return None
+    until = []
+    for quantity, bound in conditions.items():
+        read = None if quantity == "time" else _reading(base, ("phases", name, "until", quantity), quantity, tasks, q)
+        low = -math.inf if bound.min is None else bound.min
+        until.append(Condition(quantity, read, low, math.inf if bound.max is None else bound.max, bound.for_))
+    pressing = [(task.contact, quantities.pressing(task)) for task in tasks.values() if isinstance(task, ForceTask)]
+    timeout = math.inf if entry.timeout is None else entry.timeout
+    return Exit(tuple(until), follower, timeout, entry.else_ or STOP, entry.lost or "", tuple(pressing))
+
+
+def _reading(base: Geometry, path: Place, quantity: str, tasks: Mapping[str, Task], q: Array) -> Reading | None:
+    """How a measured quantity is read; None where it cannot be."""
+    subject, _, what = quantity.rpartition(".")
+    if what in WRENCH_AXES:
+        return quantities.force(subject, WRENCH_AXES.index(what))
+    if what == "distance":
+        frame, place, axis = base.normal(subject, q)
+        if axis is None:
+            held = ", ".join(base.spec.contacts[subject].constrained) or "screws"
+            base.faults.add(
+                path, f"contact {subject!r} holds {held}; expected one that holds a single one of vx, vy, vz"
+            )
+            return None
+        return quantities.distance(frame, place, axis)
+    task = tasks.get(subject)
+    if not isinstance(task, MotionTask):
+        return None  # at fault already
+    if what == "done" and quantities.ending(task) == math.inf:
+        base.faults.add(
+            path, f"the reference of {subject!r} never ends; expected one that does, or another end: `time`"
+        )
+    return {"done": quantities.done, "error": quantities.error, "speed": quantities.speed}[what](task)
 
 
 def _stability(

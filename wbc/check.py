@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,4 +71,4 @@ def check(spec: Spec) -> Report:
 def _without_rate(phase: Phase) -> Phase:
     limit = phase.torque
     torque = TorqueLimit(limit.low, limit.high, np.full(limit.low.size, np.inf), limit.joints)
-    return Phase(phase.contacts, phase.tasks, phase.weights, torque, phase.joint, phase.name, phase.until)
+    return replace(phase, torque=torque, exit=None)

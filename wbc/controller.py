@@ -14,13 +14,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .contact import Contact
-from .errors import StateError, did_you_mean
+from .errors import NameNotFound, StateError, did_you_mean
+from .handover import Start, hand_over
 from .kernels import torque
 from .phase import Phase, Program, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State
 from .solver import DEFAULT, Solution, Solver, answer, make
 from .task import ForceLoop
+from .transition import STOP, Change, Watch
 from .wrench import Wrench
 
 __all__ = ["Controller", "Memory", "Output", "Phase", "Status"]
@@ -28,6 +30,7 @@ __all__ = ["Controller", "Memory", "Output", "Phase", "Status"]
 _FLOAT64 = np.dtype(np.float64)
 _NEW_LOOP = ForceLoop()
 _NONE: Mapping[str, Any] = {}  # never written to
+_NEW_WATCH = Watch()
 HOLD_TICKS = 5  # ticks without a certified answer before the safe hold
 GOOD_TICKS = 10  # certified ticks in a row until the status is OK again
 MISSED_DEGRADED, MISSED_STOPPED = 3, 20
@@ -60,7 +63,7 @@ class Memory(NamedTuple):
     """All that a tick carries to the next: a value, to be kept and restored. Its arrays are never written to."""
 
     t: float | None = None  # time of the last tick [s]
-    start: float = 0.0  # time at which the references began [s]
+    start: float = 0.0  # time of the first tick [s]
     phase: int = 0
     phase_start: float = 0.0
     tau: Array = np.zeros(0)  # last torque of the motors, gravity included [N m]
@@ -73,6 +76,9 @@ class Memory(NamedTuple):
     status: Status = Status.OK
     bad: int = 0
     good: int = GOOD_TICKS
+    starts: Mapping[str, Start] = _NONE  # of the tasks that began after the first tick
+    watch: Watch = _NEW_WATCH  # of the phase's ways out
+    why: str = ""  # the last change of phase, or the stop
 
 
 class Controller:
@@ -107,7 +113,13 @@ class Controller:
             phases = [place(robot, contacts or {}, tasks or {}, limits or {})]
         self.notes: list[str] = []
         self._programs = [Program(settle_posture(phase, start, self.notes), start) for phase in phases]
+        self._contacts = {name: contact for phase in phases for name, contact in phase.contacts.items()}
+        self._index = {phase.name: i for i, phase in enumerate(phases)}
+        for to in (to for phase in phases if phase.exit is not None for to in phase.exit.targets):
+            if to != STOP and to not in self._index:
+                raise NameNotFound("phase", to, [*self._index, STOP])
         self._memory: Memory | None = None
+        self.recalled = Memory()  # what the last tick began with, after a change of phase
         self.start = start.q  # the configuration that the tasks and contacts were built at
         self.state = start
 
@@ -210,9 +222,13 @@ class Controller:
             return self._safe_hold(
                 q, v, Status.STOPPED if stopped else Status.SAFE_HOLD, f"{missed} ticks missed" if missed else ""
             )
-        known, memory = memory, self._advance_time(memory, t)
         dt = self.dt if memory.t is None else min(max(t - memory.t, 0.0), 2.0 * self.dt)
+        if memory.t is None:
+            memory = memory._replace(start=t, phase_start=t)
+        program = self._programs[memory.phase]
         state = self.state = State(self.robot, self._data, q, v, t - memory.start, dt)
+        state.starts = program.named(memory.starts)
+        hold(state, program.phase)
         refused = self._read(state, memory, measured, targets)
         tau_last = memory.tau
         if tau_applied is not None:
@@ -220,9 +236,30 @@ class Controller:
                 refused.append(fault)
             else:
                 tau_last = tau_applied + memory.gravity if self.robot.gravity == "robot" else tau_applied
-        program = self._programs[memory.phase]
-        if tau_last is not memory.tau or memory.phase != known.phase:
+                tau_last = program.phase.torque.inside(tau_last)
+        before, change = program, None
+        if program.phase.exit is not None:
+            watch, change = program.phase.exit.step(memory.watch, t - memory.phase_start, state)
+            memory = memory._replace(watch=watch)
+        if change is not None:
+            if change.to == STOP:
+                return self._stop(q, v, change)
+            program = self._programs[self._index[change.to]]
             tau_last = program.phase.torque.inside(tau_last)
+            state.contacts = {}
+            hold(state, program.phase)
+        for name in program.phase.fed:
+            if name in state.measured:
+                held = state.contacts[name]
+                state.carry(held.frame, program.phase.contacts[name].known(state, held, state.measured[name]))
+        if change is not None:
+            starts, loops = hand_over(before, program, state, memory.starts, memory.loops, tau_last)
+            memory = memory._replace(
+                phase=self._index[change.to], phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH,
+                why=_told(before.phase, change),
+            )  # fmt: skip
+        self.recalled = memory
+        state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
         bounds = program.phase.torque.bounds(tau_last, self.dt)
         if not program.assemble(state, bounds, self.dt):
             return self._hold(program.last.fault())
@@ -233,51 +270,40 @@ class Controller:
             return self._hold(program.last.fault() or solution.reason)
         return self._accept(program, state, solution, tau_last, bounds, memory, t, refused, missed)
 
-    def _advance_time(self, memory: Memory, t: float) -> Memory:
-        if memory.t is None:
-            return memory._replace(start=t, phase_start=t)
-        while t - memory.phase_start >= self._programs[memory.phase].phase.until - 1e-9 and memory.phase + 1 < len(
-            self._programs
-        ):
-            memory = memory._replace(
-                phase=memory.phase + 1, phase_start=memory.phase_start + self._programs[memory.phase].phase.until
-            )
-        return memory
+    def _stop(self, q: Array, v: Array, change: Change) -> Output:
+        """A phase that leads nowhere: the safe hold, without the wrench of a contact that is lost."""
+        memory, why = self._remembered, _told(self.phase, change)
+        lam = {name: value for name, value in memory.lam.items() if name != change.lost}
+        self._memory = memory._replace(lam=lam, why=why)
+        return self._safe_hold(q, v, Status.STOPPED, why)
 
     def _read(self, state: State, memory: Memory, measured: Any, targets: Any) -> list[str]:
-        """Contacts, wrenches, targets and loops of this tick; what is refused is said, and the old value kept."""
+        """Wrenches and targets of this tick; what is refused is said, and the old value kept."""
         refused: list[str] = []
-        phase = self._programs[memory.phase].phase
-        hold(state, phase)
         loops = memory.loops
-        state.loops = {name: loops.get(name, _NEW_LOOP) for name in phase.contacts}
         for name, wrench in (measured or {}).items():
-            if name not in phase.contacts:
-                refused.append(f"measured: no contact named {name!r}{did_you_mean(name, phase.contacts)}")
+            if name not in self._contacts:
+                refused.append(f"measured: no contact named {name!r}{did_you_mean(name, self._contacts)}")
                 continue
-            F = wrench.at(state, phase.contacts[name].frame) if isinstance(wrench, Wrench) else None
+            F = wrench.at(state, self._contacts[name].frame) if isinstance(wrench, Wrench) else None
             if F is None or not math.isfinite(F.dot(F)):
                 got = type(wrench).__name__ if F is None else F
                 refused.append(f"measured.{name}: expected a finite Wrench, got {got}; the last one stands")
                 F = loops[name].filtered if name in loops else None
             if F is not None:
                 state.measured[name] = F
-        for name in phase.fed:
-            if name in state.measured:
-                held = state.contacts[name]
-                state.carry(held.frame, phase.contacts[name].known(state, held, state.measured[name]))
         state.targets = memory.targets  # type: ignore[assignment]
         if targets:
             state.targets = dict(memory.targets)
-            refused += self._retarget(state, phase, targets)
+            refused += self._retarget(state, targets)
         return refused
 
-    def _retarget(self, state: State, phase: Phase, targets: Mapping[str, float]) -> list[str]:
-        known = [f"{name}.{axis}" for name, contact in phase.contacts.items() for axis in contact.axes]
+    def _retarget(self, state: State, targets: Mapping[str, float]) -> list[str]:
+        known = [f"{name}.{axis}" for name, contact in self._contacts.items() for axis in contact.axes]
         refused = []
         for name, value in targets.items():
             if name not in known:
-                contact = phase.contacts.get(str(name).split(".")[0])
+                contact = self._contacts.get(str(name).split(".")[0])
                 hint = did_you_mean(str(name), known)
                 if contact is not None:
                     hint = f": that component lies outside the column space of A'; it holds {', '.join(contact.axes)}"
@@ -318,7 +344,7 @@ class Controller:
         gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
             t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
-            state.targets, status, 0, good,
+            state.targets, status, 0, good, memory.starts, memory.watch, memory.why,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)
@@ -353,7 +379,7 @@ class Controller:
         self._memory = memory._replace(
             tau=tau, gravity=state.gravity(), q=np.array(q), v=np.array(v), status=status, good=0
         )
-        return self._held_output(tau, status, reason or "held until reset")
+        return self._held_output(tau, status, reason or memory.why or "held until reset")
 
     def _held_output(self, tau: Array, status: Status, reason: str) -> Output:
         memory = self._remembered
@@ -370,6 +396,10 @@ def _fault(name: str, value: Any, size: int) -> str:
     if not math.isfinite(value.dot(value)):
         return f"{name}: expected finite numbers, got {value}"
     return ""
+
+
+def _told(phase: Phase, change: Change) -> str:
+    return f"{phase.name}: {change.why}" if phase.name else change.why
 
 
 def _fault_time(t: Any) -> str:

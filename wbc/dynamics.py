@@ -58,6 +58,22 @@ def gauss(state: State, G: Array, b: Array, vdot: Array) -> tuple[Rows, Array]:
     return Rows("", {"vdot": None}, x, x, state.M), K
 
 
+def reaction(state: State, tau: Array) -> dict[str, Array]:
+    """Multipliers (k,) by contact with which rigid contacts answer a torque (nv,), after (5) of the chapter:
+
+    lambda = (G M^-1 G')^-1 (G M^-1 (tau - bias) + A Jdot v + Adot V)
+    """
+    held = state.contacts
+    G = np.concatenate([np.zeros((0, tau.size)), *(each.G for each in held.values())])
+    rhs = np.concatenate([np.zeros(0), *(each.rhs for each in held.values())])
+    answer = inertia(mobility(state, G)).dot(G.dot(state.solve_M((tau - state.bias)[:, None])[:, 0]) - rhs)
+    lam, start = {}, 0
+    for name, each in held.items():
+        lam[name] = answer[start : start + each.rhs.size]
+        start += each.rhs.size
+    return lam
+
+
 @lru_cache
 def _identity(m: int) -> Array:
     return np.eye(m, order="F")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -15,9 +16,11 @@ from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereCo
 from .faults import Faults, Place
 from .friction import unilateral
 from .qp import Array
-from .reference import Path, Reference, Scalar, ScrewPath, SpherePath, constant, hold, quintic, ramp, sine
+from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, constant, hold, quintic, ramp, sine
 from .robot import Robot
 from .wrench import VELOCITY_AXES
+
+SELF = "self"  # of a reference: it goes out from wherever its frame is
 
 
 @dataclass(frozen=True)
@@ -25,12 +28,14 @@ class Geometry:
     """What a spec, or one of its phases, says of places and motions.
 
     `followed`: reference -> the axes along which something follows it, filled while contacts and tasks are made.
+    `made`: what was made already; phases that say the same share it, and so know that it goes on.
     """
 
     spec: specs.Spec
     robot: Robot
     faults: Faults
     followed: dict[str, set[int]] = field(default_factory=dict)
+    made: dict[str, Any] = field(default_factory=dict)
 
     def at(self, q: Array) -> tuple[dict[str, Contact], dict[str, Reference]]:
         """Contacts, and the motion references by task, at the start `q` (nq,)."""
@@ -39,7 +44,12 @@ class Geometry:
         paths: dict[str, Reference] = {}
         for name, entry in spec.contacts.items():
             with self.faults.at("contacts", name, entry.kind):
-                contacts[name], paths[name] = self._contact(name, entry, q)
+                motion = entry.model_copy(update={"artificial": entry.motion_targets})
+                targets = [self.spec.references.get(str(target)) for target in entry.motion_targets.values()]
+                key = repr((name, motion, targets, q.tobytes()))
+                if key not in self.made:
+                    self.made[key] = self._contact(name, entry, q)
+                contacts[name], paths[name] = self.made[key]
                 contacts[name].feedforward = entry.feedforward
             if name in contacts and entry.push is not None:
                 self._push(name, entry, entry.push, contacts[name], paths[name], q)
@@ -53,8 +63,11 @@ class Geometry:
                 continue
             assert task.frame is not None
             assert task.target is not None
-            here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
-            references[name] = self._path(spec.references[task.target], task.target, here)
+            key = repr((task.frame, spec.references[task.target], q.tobytes()))
+            if key not in self.made:
+                here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
+                self.made[key] = self._path(spec.references[task.target], here)
+            references[name] = self.made[key]
             axes = VELOCITY_AXES if task.axes == "all" else task.axes
             self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
             self._check_axes(task.frame, () if task.axes == "all" else task.axes, ("tasks", name, "axes"))
@@ -70,7 +83,7 @@ class Geometry:
                 continue
             if task.contact is not None:
                 paths[task.contact] = references[name]
-            elif task.frame is not None and not _stays(spec.references[task.target or ""]):
+            elif task.frame is not None and not getattr(references[name], "relative", False):
                 rows = np.eye(6)[[i for i, a in enumerate(VELOCITY_AXES) if task.axes == "all" or a in task.axes]]
                 goals.append(Goal(task.frame, references[name](0.0).T, rows, ("tasks", name, "target")))
         for name, contact in contacts.items():
@@ -103,6 +116,13 @@ class Geometry:
             return self.robot.fixed_pose(on), on
         return self.robot.state(q, np.zeros(self.robot.nv)).frame(contact.frame).T, None
 
+    def normal(self, name: str, q: Array) -> tuple[str, pin.SE3, int | None]:
+        """The frame of a contact, where it is held, and the one linear axis 0 .. 2 of that along which it is."""
+        entry = self.spec.contacts[name]
+        linear = [axis for axis in entry.constrained if axis[0] == "v"]
+        place, _ = self._on(name, entry, q)
+        return entry.frame, place, VELOCITY_AXES.index(linear[0]) - 3 if len(linear) == 1 else None
+
     def _contact(self, name: str, entry: specs.Contact, q: Array) -> tuple[Contact, Reference]:
         origin, on = self._on(name, entry, q)
         able = tuple(VELOCITY_AXES[i] for i in self.robot.axes(entry.frame))
@@ -126,7 +146,7 @@ class Geometry:
             component, path = VELOCITY_AXES.index(axis), ("contacts", name, "artificial", axis)
             target = entry.motion_targets.get(axis, 0.0)
             along[component] = self._scalar(target, component, path, on or "world")
-        return contact, Path(origin, along)
+        return contact, Path(origin, along, ends=self._ends(entry))
 
     def _push(
         self, name: str, entry: specs.Contact, push: specs.Push, contact: Contact, path: Reference, q: Array
@@ -183,7 +203,14 @@ class Geometry:
             target, path = entry.motion_targets.get(label, 0.0), ("contacts", name, "artificial", label)
             scalars.append(self._scalar(target, component, path, None))
         contact = ScrewContact(entry.frame, np.array(screws).reshape(-1, 6), origin, tuple(entry.free or ()))
-        return contact, ScrewPath(origin, screws, scalars, pin.SE3.Identity())
+        return contact, ScrewPath(origin, screws, scalars, pin.SE3.Identity(), self._ends(entry))
+
+    def _ends(self, entry: specs.Contact) -> float:
+        """When all motion of a contact has come to rest for good [s]."""
+        targets = entry.motion_targets.values()
+        names = [self.spec.references[target] for target in targets if isinstance(target, str)]
+        steady = any(target for target in targets if not isinstance(target, str))
+        return max([math.inf if steady else 0.0, *map(duration, names)])
 
     def _scalar(self, target: float | str, axis: int, path: Place, on: str | None) -> Scalar:
         """Motion along one axis of what a contact closes on; `on` None: wherever the reference is drawn."""
@@ -206,16 +233,18 @@ class Geometry:
             self.faults.add(path, f"{message}; expected a number, for a {reference.kind} gives {gives} only")
         return known.get(axis, constant(0.0))
 
-    def _path(self, reference: specs.Reference, name: str, here: pin.SE3) -> Reference:
-        in_ = reference.curve.in_
-        self.followed.setdefault(name, set())
-        if _stays(reference):
-            return hold(here)
+    def _path(self, reference: specs.Reference, here: pin.SE3) -> Reference:
+        in_, along, ends = reference.curve.in_, components(reference), duration(reference)
+        if reference.kind == "hold" and in_ in ("world", SELF):
+            return Hold(here, relative=True)
+        if in_ == SELF:
+            first = Path(pin.SE3.Identity(), along)(0.0).T
+            return Path(here * first.inverse(), along, ends=ends, relative=True)
         origin = pin.SE3.Identity() if in_ == "world" else self.robot.fixed_pose(in_)
-        turns = any(i < 3 for i in components(reference))
+        turns = any(i < 3 for i in along)
         # a path of positions keeps the orientation that the frame starts with
         offset = None if turns else pin.SE3(origin.rotation.T @ here.rotation, np.zeros(3))
-        return Path(origin, components(reference), offset)
+        return Path(origin, along, offset, ends)
 
 
 def components(reference: specs.Reference) -> dict[int, Scalar]:
@@ -233,10 +262,17 @@ def components(reference: specs.Reference) -> dict[int, Scalar]:
     if isinstance(curve, specs.Quintic):
         points = [(*p, 0.0, 0.0, 0.0)[:6] for p in curve.waypoints]
         order = (3, 4, 5, 0, 1, 2)
-        used = 6 if any(len(p) == 6 for p in curve.waypoints) else 3
-        return {order[i]: quintic(curve.times, [p[i] for p in points]) for i in range(used)}
+        used = [i for i in range(3) if any(p[i] for p in points)]
+        used += [3, 4, 5] if any(len(p) == 6 for p in curve.waypoints) else []
+        return {order[i]: quintic(curve.times, [p[i] for p in points]) for i in used}
     return {}
 
 
-def _stays(reference: specs.Reference) -> bool:
-    return reference.kind == "hold" and reference.curve.in_ == "world"
+def duration(reference: specs.Reference) -> float:
+    """When it has come to rest for good [s]; infinite for one that never does."""
+    curve = reference.curve
+    if isinstance(curve, specs.Line):
+        return curve.time
+    if isinstance(curve, specs.Quintic):
+        return curve.times[-1]
+    return 0.0 if isinstance(curve, specs.Hold) else math.inf

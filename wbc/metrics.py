@@ -2,6 +2,8 @@
 
     CONTACT.AXIS.rms_error, .max_error, .mean      wrench of the robot on the environment against its target [N, N m]
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
+    CONTACT.peak, .pull                            largest force along its target, and against it, at any time [N]
+    CONTACT.impact_error                           of the predicted peak of a touch, as a share of the true one [1]
     CONTACT.corners                                least number of points of contact that carried a force
   of a contact that `pushes`, and with `friction` the next three:
     CONTACT.tilt                                   largest angle between the frame and the face it closes on [deg]
@@ -11,13 +13,14 @@
     CONTACT.friction.mu_error                      there: largest error of |f_t|/f_n, relative to the surface's mu [1]
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
-    TASK.speed.max                                 speed of the task frame [m/s]
+    TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
     joint.max_excess                               position beyond its limit [rad]
     ticks.not_ok, .limited, .degraded              number of ticks by status
 
-Figures leave out the first `settle` seconds, all but those of torque, joints and ticks, which hold from the first tick.
+Figures of a contact or a task are of the ticks in which it is active, less `settle` seconds after each of its begins;
+peaks, pulls, impacts, overshoots, and what is said of torque, joints and ticks count from the first tick.
 """
 
 from __future__ import annotations
@@ -52,6 +55,7 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
                     for axis in task.axes
                     for figure in ("rms_error", "max_error", "mean")
                 ]
+                names += [f"{task.contact}.{figure}" for figure in ("peak", "pull", "impact_error")]
         for name, contact in phase.contacts.items():
             names += [f"{name}.{figure}" for figure in ("lost", "corners", *_of_push(contact))]
         for name, task in phase.tasks.items():
@@ -60,32 +64,75 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
     return sorted(set(names))
 
 
-_MOTION = ("position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max")
+_MOTION = (
+    "position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max", "overshoot",
+)  # fmt: skip
+IMPACT = 0.02  # [s] after a touch in which its force is at its peak
 
 
 def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
     """All figures of a log."""
-    late = log["t"] >= settle - 1e-9
     out: dict[str, float] = {}
-    for phase in phases:
-        for name, task in phase.tasks.items():
-            if isinstance(task, ForceTask):
-                error = (log[f"{task.contact}.lam"] - log[f"{task.contact}.target"])[late]
-                mean = log[f"{task.contact}.lam"][late]
-                for i, axis in enumerate(task.axes):
-                    out |= _errors(f"{task.contact}.{axis}", error[:, i])
-                    out[f"{task.contact}.{axis}.mean"] = float(mean[:, i].mean()) if late.any() else math.nan
-            elif isinstance(task, MotionTask):
-                error = log[f"{name}.error"][late]
-                out |= _errors(f"{name}.position", np.linalg.norm(error[:, 3:], axis=1))
-                out |= _errors(f"{name}.rotation", np.linalg.norm(error[:, :3], axis=1))
-                out[f"{name}.speed.max"] = float(log[f"{name}.speed"][late].max()) if late.any() else math.nan
-        for contact, held in phase.contacts.items():
-            out |= _push(log, contact, held, late)
-            force = np.linalg.norm(log[f"{contact}.true"], axis=1) > 0.0
-            touched = np.maximum.accumulate(force) & late
-            out[f"{contact}.lost"] = float((touched & ~force).sum())
+    tasks = {name: task for phase in phases for name, task in phase.tasks.items()}
+    for task in {task.contact: task for task in tasks.values() if isinstance(task, ForceTask)}.values():
+        name = task.contact
+        if f"{name}.target" not in log:
+            continue  # never active
+        late = _late(log, [task.contact in map(_pressed, phase.tasks.values()) for phase in phases], settle)
+        lam, target = log[f"{name}.lam"], log[f"{name}.target"]
+        for i, axis in enumerate(task.axes):
+            out |= _errors(f"{name}.{axis}", (lam - target)[late, i])
+            out[f"{name}.{axis}.mean"] = float(lam[late, i].mean()) if late.any() else math.nan
+        out |= _peaks(log, name, [i for i, axis in enumerate(task.axes) if axis[0] == "f"])
+    for name in [name for name, task in tasks.items() if isinstance(task, MotionTask)]:
+        if f"{name}.error" not in log:
+            continue
+        active = [name in phase.tasks for phase in phases]
+        late, always = _late(log, active, settle), _late(log, active, 0.0)
+        error, speed = log[f"{name}.error"][late], log[f"{name}.speed"]
+        out |= _errors(f"{name}.position", np.linalg.norm(error[:, 3:], axis=1))
+        out |= _errors(f"{name}.rotation", np.linalg.norm(error[:, :3], axis=1))
+        out[f"{name}.speed.max"] = float(speed[late].max()) if late.any() else math.nan
+        beyond = (speed - log[f"{name}.desired_speed"])[always]
+        out[f"{name}.overshoot"] = float(max(0.0, beyond.max())) if always.any() else math.nan
+    for name in {name for phase in phases for name in phase.contacts}:
+        force = np.linalg.norm(log[f"{name}.true"], axis=1) > 0.0
+        active = [name in phase.contacts for phase in phases]
+        held = _late(log, active, 0.0)
+        late = _late(log, active, settle)
+        touched = np.maximum.accumulate(force & held) & late
+        out[f"{name}.lost"] = float((touched & ~force).sum()) if held.any() else math.nan
+        out |= _push(log, name, next(phase.contacts[name] for phase in phases if name in phase.contacts), late)
     return out | _limits(log)
+
+
+def _pressed(task: Any) -> str | None:
+    """The contact of a force task."""
+    return task.contact if isinstance(task, ForceTask) else None
+
+
+def _late(log: Log, active: Sequence[bool], settle: float) -> NDArray[np.bool_]:
+    """(N,) ticks of the active phases, less `settle` [s] after each time that they begin."""
+    on, t = np.array(active)[log["phase"].astype(int)], log["t"]
+    begins = on & ~np.concatenate(([False], on[:-1]))
+    since = t - np.maximum.accumulate(np.where(begins, t, -np.inf))
+    return np.asarray(on & (since >= settle - 1e-9))
+
+
+def _peaks(log: Log, name: str, linear: list[int]) -> dict[str, float]:
+    """Force along and against the target, every tick; and how well an impact was predicted."""
+    target = log[f"{name}.target"][:, linear]
+    known = target[np.isfinite(target).all(axis=1)]
+    size = float(np.linalg.norm(known.mean(axis=0))) if known.size else 0.0
+    if not size:
+        return {}
+    force = log[f"{name}.lam"][:, linear] @ (known.mean(axis=0) / size)
+    out = {f"{name}.peak": float(force.max()), f"{name}.pull": float(max(0.0, -force.min()))}
+    if f"{name}.predicted_peak" not in log:
+        return out
+    predicted, steps = log[f"{name}.predicted_peak"], round(IMPACT / log.meta["dt"])
+    true = {i: force[i : i + steps].max() for i in np.flatnonzero(np.isfinite(predicted))}
+    return out | {f"{name}.impact_error": float(max(abs(predicted[i] / true[i] - 1.0) for i in true))} if true else out
 
 
 def _of_push(contact: Contact) -> tuple[str, ...]:

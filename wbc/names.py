@@ -73,7 +73,7 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
     """Every frame, joint and keyframe that the spec names is one of the robot, its tool or the scene."""
     names = _Names(spec, robot, faults)
     for name, reference in spec.references.items():
-        if reference.curve.in_ != "world":
+        if reference.curve.in_ not in ("world", "self"):
             names.frame(reference.curve.in_, ("references", name, reference.kind, "in"), fixed=True)
     for name, contact in spec.contacts.items():
         names.frame(contact.frame, ("contacts", name, "frame"), moves=True)

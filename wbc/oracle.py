@@ -199,7 +199,7 @@ def _stacked(
 
 
 def _motion(task: MotionTask, state: State, d: Dynamics) -> Array:
-    desired = task.reference(state.t)
+    desired = task.desired(state)
     T_d, V_d = desired.T.homogeneous, desired.V
     feedforward = analytic.computed_torque(d.T, d.V, T_d, V_d, desired.Vdot, 0.0, 0.0)
     # gains on some axes are only semidefinite as (6, 6), which `computed_torque` refuses
@@ -215,7 +215,8 @@ def _command(
     A, d = contact.A(state), dynamics(contact.frame)
     if task is None:
         return np.zeros(6)
-    F_d = analytic.project_wrench(A, task.target(state.t)) if task.wrench else A.T @ task.target(state.t)
+    target = task.target(state.since(task))
+    F_d = analytic.project_wrench(A, target) if task.wrench else A.T @ target
     damping = A.T @ (task.K_damp @ (A @ d.V))
     loop = memory.loops.get(name, ForceLoop())
     if name not in given:

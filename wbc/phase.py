@@ -5,7 +5,6 @@ A `Phase` places tasks with weights beside contacts and limits; a `Program` is i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,6 +19,7 @@ from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .robot import Robot, State
 from .task import ForceTask, MotionTask, PostureTask, Task
+from .transition import Exit
 
 _NO_METRIC = np.zeros((0, 0))
 YIELD_WEIGHT = 1e6  # of joint viability, in ticks that have no answer otherwise
@@ -27,7 +27,7 @@ YIELD_WEIGHT = 1e6  # of joint viability, in ticks that have no answer otherwise
 
 @dataclass(frozen=True)
 class Phase:
-    """Contacts, tasks with weights, limits. `until` [s] is the phase's length, infinite for the last."""
+    """Contacts, tasks with weights, limits, and the ways out (none: it lasts)."""
 
     contacts: Mapping[str, Contact]
     tasks: Mapping[str, Task]
@@ -35,7 +35,7 @@ class Phase:
     torque: TorqueLimit
     joint: JointLimit | None
     name: str = ""
-    until: float = math.inf
+    exit: Exit | None = None
 
     @cached_property
     def fed(self) -> tuple[str, ...]:
@@ -125,8 +125,16 @@ class Program:
         if joint is not None:
             joint = joint._replace(A={"vdot": None, "yield": None})
             self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, joint])
+        self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[tuple[Rows, float]] = []
         self._hard: list[Rows] = []
+
+    def named(self, starts: Mapping[str, Any]) -> Mapping[Any, Any]:
+        """Task -> its start, from those by name."""
+        if starts is not self._starts[0]:
+            tasks = self.phase.tasks
+            self._starts = (starts, {tasks[name]: start for name, start in starts.items() if name in tasks})
+        return self._starts[1]
 
     @property
     def yielded(self) -> bool:

@@ -3,6 +3,9 @@
 A reference is any callable `t [s] -> Sample`. `Path` builds one from scalar motions along unit screws of a fixed
 frame, by the product of exponentials (book 4.1): T_d = T_in exp([S_1] s_1) exp([S_2] s_2) ...; translations come
 first, then rotations about z, y, x.
+
+Beside that a reference may have `ends` [s], when it has come to rest for good (never, when left out), and `relative`:
+whether it goes out from wherever the frame is when the reference is taken up.
 """
 
 from __future__ import annotations
@@ -18,7 +21,8 @@ import pinocchio as pin
 from .kernels import shift
 from .qp import Array
 
-_ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))
+_ORDER = [3, 4, 5, 0, 1, 2]
+_ANGULAR_FIRST = np.ix_(_ORDER, _ORDER)
 Scalar = Callable[[float], tuple[float, float, float]]  # t -> position, velocity, acceleration
 
 
@@ -101,9 +105,16 @@ class Path:
     `offset` is a constant pose applied last, so that a frame may keep its own orientation against `origin`.
     """
 
-    def __init__(self, origin: pin.SE3, along: Mapping[int, Scalar], offset: pin.SE3 | None = None) -> None:
+    def __init__(
+        self,
+        origin: pin.SE3,
+        along: Mapping[int, Scalar],
+        offset: pin.SE3 | None = None,
+        ends: float = math.inf,
+        relative: bool = False,
+    ) -> None:
         self.origin, self.along = origin.copy(), dict(along)
-        self.offset = offset
+        self.offset, self.ends, self.relative = offset, ends, relative
         self._place = origin.homogeneous[:3].copy()
         self._turns = [(i, self.along[i]) for i in _ROTATIONS if i in self.along]
         self._x, self._y, self._z = (self.along.get(i, constant(0.0)) for i in (3, 4, 5))
@@ -116,7 +127,7 @@ class Path:
             s, rate, bend = turn(t)
             if s != 0.0 or rate != 0.0 or bend != 0.0:
                 T.rotation = T.rotation @ self._turn(axis, s, rate, bend, motion)
-        return Sample(T, motion) if self.offset is None else Sample(T * self.offset, _seen_from(self.offset, motion))
+        return Sample(T, motion) if self.offset is None else Sample(T * self.offset, seen_from(self.offset, motion))
 
     @staticmethod
     def _turn(axis: int, s: float, rate: float, bend: float, motion: Array) -> Array:
@@ -131,7 +142,7 @@ class Path:
         return step
 
 
-def _seen_from(T: pin.SE3, motion: Array) -> Array:
+def seen_from(T: pin.SE3, motion: Array) -> Array:
     """Twist columns in the axes of a frame that stands at T, rigidly."""
     return T.inverse().toActionMatrix()[_ANGULAR_FIRST] @ motion
 
@@ -158,25 +169,48 @@ class SpherePath:
 class ScrewPath:
     """Motion along screws (6,) of the fixed pose `origin`: T_d = origin exp([S_1] s_1(t)) ... start."""
 
-    def __init__(self, origin: pin.SE3, screws: Sequence[Array], scalars: Sequence[Scalar], start: pin.SE3) -> None:
-        self._origin, self._start = origin.copy(), start.copy()
+    def __init__(
+        self,
+        origin: pin.SE3,
+        screws: Sequence[Array],
+        scalars: Sequence[Scalar],
+        start: pin.SE3,
+        ends: float = math.inf,
+    ) -> None:
+        self._origin, self._start, self.ends = origin.copy(), start.copy(), ends
         self._screws, self._scalars = [np.array(S, float) for S in screws], list(scalars)
 
     def __call__(self, t: float) -> Sample:
-        T, motion = self._origin, np.zeros((6, 2))
+        sample = Sample(self._origin, np.zeros((6, 2)))
         for S, scalar in zip(self._screws, self._scalars, strict=True):
-            s, rate, bend = scalar(t)
-            step = pin.exp6(pin.Motion(S[3:] * s, S[:3] * s))
-            T, motion = T * step, _seen_from(step, motion)
-            w, v = motion[:3, 0], motion[3:, 0]
-            motion[:3, 1] -= rate * np.cross(S[:3], w)
-            motion[3:, 1] -= rate * (np.cross(S[3:], w) + np.cross(S[:3], v))
-            motion[:, 0] += S * rate
-            motion[:, 1] += S * bend
-        return Sample(T * self._start, _seen_from(self._start, motion))
+            sample = advanced(S, *scalar(t), sample)
+        return Sample(sample.T * self._start, seen_from(self._start, sample.motion))
+
+
+def advanced(S: Array, s: float, rate: float, bend: float, sample: Sample) -> Sample:
+    """T exp([S] s) along a screw (6,): V' = Ad V + S sdot, Vdot' = Ad Vdot - ad_S Ad V sdot + S sddot."""
+    step = pin.exp6(pin.Motion(S[3:] * s, S[:3] * s))
+    motion = seen_from(step, sample.motion)
+    w, v = motion[:3, 0], motion[3:, 0]
+    motion[:3, 1] -= rate * np.cross(S[:3], w)
+    motion[3:, 1] -= rate * (np.cross(S[3:], w) + np.cross(S[:3], v))
+    motion[:, 0] += S * rate
+    motion[:, 1] += S * bend
+    return Sample(sample.T * step, motion)
+
+
+class Hold:
+    """Stay at a pose; `relative`: where the frame is when this is taken up."""
+
+    ends = 0.0
+
+    def __init__(self, T: pin.SE3, relative: bool = False) -> None:
+        self._sample, self.relative = Sample(T.copy(), np.zeros((6, 2))), relative
+
+    def __call__(self, t: float) -> Sample:
+        return self._sample
 
 
 def hold(T: pin.SE3) -> Reference:
     """Stay at a pose."""
-    sample = Sample(T.copy(), np.zeros((6, 2)))
-    return lambda t: sample
+    return Hold(T)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from .errors import ModelError, NameNotFound
 from .kernels import frame_table
 from .qp import Array
 
+_NO_STARTS: Mapping[Any, Any] = {}  # never written to
 _NO_ROWS: tuple[Array, Array, Array] = (np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)))
 
 
@@ -34,8 +36,9 @@ class State:
     damping; `bias` (nv,) [N m], h and the torque of wrenches that are known. `frame(name)` is a `Frame`. `contacts`,
     `measured`, `targets` and `loops` are filled by the controller: what the contacts demand, the wrenches measured
     (6,), the targets set from outside, and the force loops' memory; `primary` is (G, W, K), all rows of contacts and
-    motion tasks, their inertia and mobility: the posture stays out of them. Valid until the next state is computed from
-    the same `data`.
+    motion tasks, their inertia and mobility: the posture stays out of them; `starts`: task -> `Start`, how its
+    reference was taken up, for those that began after the run did. Valid until the next state is computed from the same
+    `data`.
     """
 
     __slots__ = (
@@ -52,6 +55,7 @@ class State:
         "primary",
         "q",
         "robot",
+        "starts",
         "t",
         "targets",
         "v",
@@ -68,6 +72,7 @@ class State:
         self.targets: dict[str, float] = {}
         self.loops: dict[str, Any] = {}
         self.primary: tuple[Array, Array, Array] = _NO_ROWS
+        self.starts: Mapping[Any, Any] = _NO_STARTS
         self._frames: dict[str, Frame] = {}
         self._L: Any = None
 
@@ -89,6 +94,11 @@ class State:
     def carry(self, frame: str, F: Array) -> None:
         """Count a known wrench F (6,) of the robot on its environment, in the axes of `frame`: bias + J' F."""
         self.bias = self.bias + self.frame(frame).J.T.dot(F)
+
+    def since(self, task: Any) -> float:
+        """Time that a task has been active [s], on which its targets are functions."""
+        start = self.starts.get(task)
+        return self.t if start is None else self.t - float(start.t)
 
     def solve_M(self, B: Array) -> Array:
         """M^-1 B by Cholesky, factored once a tick."""

@@ -6,23 +6,25 @@ import gc
 import json
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from . import material
+from . import analytic, material
 from .build import Built
+from .contact import Contact
 from .controller import Controller, Output, Status
 from .errors import SimulationError
 from .log import Log
 from .metrics import metrics
 from .model import quietly
+from .robot import State
 from .sim import Observation, Simulator, Touch
 from .task import ForceTask, MotionTask
+from .transition import STOP
 
 STATUS_NAMES = [status.name for status in Status]
 
@@ -86,21 +88,25 @@ def _loop(
     built: Built, simulator: Simulator, log: Log, ticks: int, progress: Any, hook: Hook | None, show: Any
 ) -> None:
     controller, measured = built.controller, None
-    contacts = sorted({name for phase in built.phases for name in phase.contacts})
+    contacts = {name: contact for phase in built.phases for name, contact in phase.contacts.items()}
+    touched = dict.fromkeys(contacts, True)
     for tick in range(ticks):
         seen = simulator.observe()
-        given = dict.fromkeys(controller.phase.contacts, measured) if measured is not None else None
+        given = dict.fromkeys(contacts, measured) if measured is not None else None
         before = time.perf_counter()
         out = controller.step(seen.t, seen.q, seen.v, measured=given)
         took = time.perf_counter() - before
         simulator.apply(out.tau)
-        true = {
-            name: simulator.true_touch(controller.phase.contacts[name].frame)
-            for name in contacts
-            if name in controller.phase.contacts
-        }
+        true = {name: simulator.true_touch(contact.frame) for name, contact in contacts.items()}
         measured = simulator.measured(controller.state, out.vdot)
-        _record(log, controller, seen, out, took, true)
+        row = _row(controller, seen, out, took) | _contact_rows(controller, out, contacts, true)
+        for name, contact in contacts.items():
+            touching = bool(true[name].F.any())
+            if touching and not touched[name] and name not in controller.phase.contacts:
+                row[f"{name}.predicted_peak"] = _predicted_peak(simulator, controller.state, contact.frame)
+            touched[name] = touching
+        log.append(out.active, **row)
+        _note_phase(log, controller, seen.t, out)
         if hook is not None:
             hook(seen, out)
         if show is not None:
@@ -109,37 +115,66 @@ def _loop(
             progress(tick + 1)
 
 
-def _record(
-    log: Log, controller: Controller, seen: Observation, out: Output, took: float, true: dict[str, Touch]
-) -> None:
+def _predicted_peak(simulator: Simulator, state: State, frame: str) -> float:
+    """The closed form of the impact that begins at this tick [N]; not a number unless it is one point that touches."""
+    touch = simulator.impact(frame)
+    if touch is None:
+        return math.nan
+    at = state.frame(frame)
+    row = at.T.rotation.T @ touch.normal @ at.J[3:]
+    mass = 1.0 / float(row @ state.solve_M(row[:, None])[:, 0])  # [kg]
+    share = 1.0 / (1.0 / mass + touch.regularisation)
+    speed = max(float(row @ state.v), 0.0)
+    return analytic.impact_peak(mass, share * touch.damping, share * touch.stiffness, speed)
+
+
+def _note_phase(log: Log, controller: Controller, t: float, out: Output) -> None:
+    """Which phase runs since when and why, or that all has stopped."""
+    memory, phase, changes = controller.memory, controller.phase, log.meta["changes"]
+    assert memory is not None
+    name = STOP if memory.why and out.status is Status.STOPPED else phase.name
+    if not changes or changes[-1]["name"] != name:
+        changes.append({"name": name, "start": t, "why": memory.why})
+
+
+def _row(controller: Controller, seen: Observation, out: Output, took: float) -> dict[str, Any]:
+    """What a tick leaves in the log, all but what the contacts do."""
     state, phase, memory = controller.state, controller.phase, controller.memory
     assert memory is not None
     row: dict[str, Any] = {
         "t": seen.t, "q": seen.q, "v": seen.v, "vdot": out.vdot, "tau": memory.tau, "tau_min": phase.torque.low,
         "tau_max": phase.torque.high, "torque_rate_limit": phase.torque.rate,
         "status": STATUS_NAMES.index(out.status.name),
-        "step_us": took * 1e6, "kkt": max(out.certificate),
+        "step_us": took * 1e6, "kkt": max(out.certificate), "phase": memory.phase,
     }  # fmt: skip
-    for name, touch in true.items():
-        held, contact = state.contacts[name], phase.contacts[name]
-        row |= {f"{name}.true": touch.F, f"{name}.lam": held.inverse @ touch.F}
-        row |= {f"{name}.points": touch.points, f"{name}.mu": touch.mu}
-        if contact.pushes is not None:
-            told = contact.pushes.told(contact, state, touch.F)
-            row |= {f"{name}.{quantity}": value for quantity, value in told.items()}
-        row[f"{name}.predicted"] = out.wrenches.get(name, np.full(6, np.nan))
-        row[f"{name}.measured"] = state.measured.get(name, np.full(6, np.nan))
     for name, task in phase.tasks.items():
         if isinstance(task, ForceTask):
             row[f"{task.contact}.target"] = task.desired(state)
         elif isinstance(task, MotionTask):
-            frame, desired = state.frame(task.frame), task.reference(state.t)
-            error = pin.log6(frame.T.actInv(desired.T)).vector[[3, 4, 5, 0, 1, 2]]
-            select = state.contacts[task.contact].free if task.contact is not None else task.selection
-            row[f"{name}.error"] = np.linalg.pinv(select) @ (select @ error)
+            frame, desired = state.frame(task.frame), task.desired(state)
+            row[f"{name}.error"] = task.error(state)
             row |= {f"{name}.position": frame.T.translation, f"{name}.desired": desired.T.translation}
             row[f"{name}.speed"] = np.linalg.norm(frame.V[3:])
-    log.append(out.active, **row)
+            row[f"{name}.desired_speed"] = np.linalg.norm(desired.V[3:])
+    return row
+
+
+def _contact_rows(
+    controller: Controller, out: Output, contacts: Mapping[str, Contact], true: Mapping[str, Touch]
+) -> dict[str, Any]:
+    """True, predicted and measured wrenches, also of contacts that are not active."""
+    state, row, unknown = controller.state, dict[str, Any](), np.full(6, np.nan)
+    for name, contact in contacts.items():
+        held = state.contacts.get(name)
+        inverse = contact.pseudo_inverse(contact.A(state)) if held is None else held.inverse
+        row |= {f"{name}.true": true[name].F, f"{name}.lam": inverse @ true[name].F}
+        row |= {f"{name}.points": true[name].points, f"{name}.mu": true[name].mu}
+        if held is not None and contact.pushes is not None:
+            told = contact.pushes.told(contact, state, true[name].F)
+            row |= {f"{name}.{quantity}": value for quantity, value in told.items()}
+        row[f"{name}.predicted"] = out.wrenches.get(name, unknown)
+        row[f"{name}.measured"] = state.measured.get(name, unknown)
+    return row
 
 
 def _name(built: Built) -> str:
@@ -155,7 +190,10 @@ def _meta(built: Built, seed: int) -> dict[str, Any]:
         "q_min": np.maximum(robot.q_min, -1e9).tolist() if finite else [],
         "q_max": np.minimum(robot.q_max, 1e9).tolist() if finite else [],
         "contacts": {name: list(c.axes) for phase in built.phases for name, c in phase.contacts.items()},
-        "motions": [name for phase in built.phases[:1] for name, t in phase.tasks.items() if isinstance(t, MotionTask)],
+        "motions": list(
+            {name: 0 for phase in built.phases for name, t in phase.tasks.items() if isinstance(t, MotionTask)}
+        ),
+        "phases": [phase.name for phase in built.phases], "changes": [],
     }  # fmt: skip
 
 
@@ -185,6 +223,7 @@ def _summary(built: Built, log: Log, wall: float, broken: str, notes: list[str])
         "checks": checks,
         "status": {name: count for name, count in status.items() if count},
         "step_us": dict(zip(("p50", "p99", "max"), us, strict=True)),
+        "phases": log.meta["changes"] if built.spec.phases else [],
         "notes": notes,
     }
     return summary | ({"broken": broken} if broken else {})

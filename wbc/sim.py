@@ -27,6 +27,15 @@ class Observation(NamedTuple):
     v: Array
 
 
+class Impact(NamedTuple):
+    """A point that touches: MuJoCo's contact is a_n = -b v_n - k r wherever the force, less a_n R f, allows it."""
+
+    normal: Array  # (3,) world, from the robot into its environment
+    stiffness: float  # k [1/s^2]
+    damping: float  # b [1/s]
+    regularisation: float  # R [1/kg]
+
+
 class Touch(NamedTuple):
     """What a body of the robot applied to its environment in a tick."""
 
@@ -104,17 +113,33 @@ class Simulator:
             reading[3:] += self._rng.normal(0.0, 1.0, 3) * self._noise.force
         return self._sensor.compensated(reading, state, vdot)
 
+    def impact(self, frame: str) -> Impact | None:
+        """The one point in which the body of `frame` touches its environment; None where there are none or several."""
+        body, found = self._body(frame), list[Impact]()
+        for i in range(self.data.ncon):
+            contact = self.data.contact[i]
+            owners = [self.model.geom_bodyid[g] for g in contact.geom]
+            if (owners[0] == body) != (owners[1] == body) and contact.efc_address >= 0:
+                stiffness, damping, impedance, _ = self.data.efc_KBIP[contact.efc_address]
+                normal = contact.frame[:3] * (1.0 if owners[0] == body else -1.0)
+                R = float(self.data.efc_R[contact.efc_address])
+                found.append(Impact(normal, float(stiffness * impedance), float(damping), R))
+        return found[0] if len(found) == 1 else None
+
+    def _body(self, frame: str) -> int:
+        return int(self.model.site(frame).bodyid[0] if _has_site(self.model, frame) else self.model.body(frame).id)
+
     def true_wrench(self, frame: str) -> Array:
         """(6,) what the body of `frame` applied to its environment in the last tick, in that frame; unfiltered."""
         return self.true_touch(frame).F
 
     def true_touch(self, frame: str) -> Touch:
         """The true wrench of the body of `frame` with what a wrench cannot tell."""
+        body = self._body(frame)
         if _has_site(self.model, frame):
             site = self.model.site(frame)
-            body, R, p = site.bodyid[0], self.data.site_xmat[site.id].reshape(3, 3), self.data.site_xpos[site.id]
+            R, p = self.data.site_xmat[site.id].reshape(3, 3), self.data.site_xpos[site.id]
         else:
-            body = self.model.body(frame).id
             R, p = self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
         F, force, points, mu = np.zeros(6), np.zeros(6), 0, 0.0
         for i in range(self.data.ncon):

@@ -91,10 +91,21 @@ class MotionTask:
         S = np.eye(6)[[VELOCITY_AXES.index(a) for a in self.axes]]
         return S.T @ small @ S
 
+    def desired(self, state: State) -> Sample:
+        """The reference as it is followed at this tick: since the task began, led in from where the frame was then."""
+        start = state.starts.get(self)
+        return self.reference(state.t) if start is None else start.sample(self.reference, state.t)
+
+    def error(self, state: State) -> Array:
+        """(6,) X_e, with [X_e] = log(T^-1 T_d), on the task's axes alone [rad, m]."""
+        select = self.selection if self.contact is None else state.contacts[self.contact].free
+        X_e = pin.log6(state.frame(self.frame).T.actInv(self.desired(state).T)).vector[_ORDER]
+        return np.asarray(np.linalg.pinv(select) @ (select @ X_e))
+
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (s, nv) and (s,)."""
         frame = state.frame(self.frame)
-        y = computed_torque(frame, self.reference(state.t), self._K)
+        y = computed_torque(frame, self.desired(state), self._K)
         y -= frame.drift
         if self.raw:
             return frame.J[self.robot_axes], y[self.robot_axes]
@@ -108,7 +119,7 @@ class MotionTask:
             held: Held = state.contacts[self.contact]
             n, k = state.v.size, held.A.shape[0]
             b = held.bias.copy()
-            b[k:] += held.free.dot(computed_torque(state.frame(self.frame), self.reference(state.t), self._K))
+            b[k:] += held.free.dot(computed_torque(state.frame(self.frame), self.desired(state), self._K))
             return held.table[:, :n], b
         G, b = self.target(state)
         if not self.raw:
@@ -137,6 +148,9 @@ class ForceLoop(NamedTuple):
     error: Array = _NOTHING
     command: Array = _NOTHING  # (k,) the multipliers asked for
     cut: str = ""  # what took from the target or the command because the world only pushes: push or friction
+
+
+_NEW_LOOP = ForceLoop()
 
 
 class ForceTask:
@@ -188,7 +202,7 @@ class ForceTask:
 
     def desired(self, state: State) -> Array:
         """(k,) lambda_d, with what `targets` overrides."""
-        lam = self.target(state.t)
+        lam = self.target(state.since(self))
         if self.wrench:
             lam = state.contacts[self.contact].inverse.dot(lam)
         if state.targets:
@@ -196,6 +210,26 @@ class ForceTask:
             for i, axis in enumerate(self.axes):
                 lam[i] = state.targets.get(f"{self.contact}.{axis}", lam[i])
         return lam
+
+    def begin(self, state: State, lam: Array) -> ForceLoop:
+        """The memory of a loop that begins: its first command is `lam` (k,), from which it moves to the target.
+
+        The filter starts at the raw reading, and the integral makes up what the target and the error leave. Without a
+        reading, and on axes without an integral, the loop begins at its target.
+        """
+        held: Held = state.contacts[self.contact]
+        measured, desired = state.measured.get(self.contact), self.desired(state)
+        if measured is None:
+            return _NEW_LOOP
+        rest = lam - desired
+        error = desired - held.inverse.dot(measured)
+        if self._book:
+            rest, error = held.A.T.dot(rest), held.A.T.dot(desired) - measured
+        return ForceLoop(measured.copy(), self.integral_for(rest - self.Kp.dot(error)))
+
+    def integral_for(self, part: Array) -> Array:
+        """What the integral must be for Ki int e to be this part of the command, on the axes that have one."""
+        return np.asarray(np.linalg.pinv(self.Ki) @ part)
 
     def sense(self, state: State, desired: Array) -> tuple[Array | None, Array, Array | None, Array]:
         """Filtered wrench, integral, what limits took, error; without a sensor the loop is open (book 11.33)."""

@@ -8,7 +8,7 @@ MuJoCo alone computes. Acceleration and multipliers are held against the constra
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from .build import Built, build
-from .controller import GOOD_TICKS, Controller, Memory, Phase, Status
+from .controller import Controller, Memory, Phase, Status
 from .limit import TorqueLimit
 from .model import body_name, point_jacobian
 from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
@@ -116,38 +116,30 @@ class Oracle:
 
     def run(self, states: int, seed: int, count: bool, progress: Callable[[int], None] | None) -> None:
         controller, certificate = self.built.controller, self.certificate
-        before: list[Memory | None] = [None]
 
         def tick(seen: Any, out: Any) -> None:
-            memory, before[0] = before[0], controller.memory
-            if memory is None:
-                memory = Memory(tau=np.zeros(self.built.robot.nv))
-            given = {
-                name: Wrench(F, controller.phase.contacts[name].frame) for name, F in controller.state.measured.items()
-            }
-            t = seen.t
+            if out.status in (Status.SAFE_HOLD, Status.STOPPED):
+                return  # no law runs any more
+            memory, contacts, measured = controller.recalled, controller.phase.contacts, controller.state.measured
+            given = {name: Wrench(F, contacts[name].frame) for name, F in measured.items() if name in contacts}
             if out.active or out.status.name != "OK":
                 certificate.lifted += count
-                out = self._lifted(memory, controller, seen, given)
+                self.free.memory = memory
+                out = self.free.step(seen.t, seen.q, seen.v, measured=given)
             self.worst.max_kkt_residual = max(self.worst.max_kkt_residual, *out.certificate)
-            self._compare(controller.phase, t - controller.memory.start, seen.q, seen.v, memory, given, out, False)  # type: ignore[union-attr]
+            self._compare(controller.phase, seen.t - memory.start, seen.q, seen.v, memory, given, out, False)
             certificate.ticks += count
 
         run(self.built, seed, progress, tick)
         self._random(states, seed, count)
 
-    def _lifted(self, memory: Memory, controller: Controller, seen: Any, given: dict[str, Wrench]) -> Any:
-        # a law that let the robot fall into its safe hold is still the law that is asked for
-        ready = memory._replace(status=Status.OK, bad=0, good=GOOD_TICKS)
-        self.free.memory = ready._replace(start=controller.memory.start, t=memory.t)  # type: ignore[union-attr]
-        return self.free.step(seen.t, seen.q, seen.v, measured=given)
-
     def _random(self, states: int, seed: int, count: bool) -> None:
         robot, certificate = self.built.robot, self.certificate
         rng = np.random.default_rng(seed)
-        phase = self.free.phases[0]
         low, high = np.maximum(robot.q_min, -np.pi), np.minimum(robot.q_max, np.pi)
-        for _ in range(states):
+        for i in range(states):
+            index = i % len(self.free.phases)
+            phase = self.free.phases[index]
             q, v = rng.uniform(low, high), rng.uniform(-1.0, 1.0, robot.nv)
             t = float(rng.uniform(0.0, self.built.spec.duration))
             loops, given = {}, {}
@@ -159,7 +151,7 @@ class Oracle:
             if not self._well_conditioned(phase, q, v):
                 certificate.dropped += count
                 continue
-            memory = Memory(t=t - self.free.dt, tau=np.zeros(robot.nv), q=q, v=v, loops=loops)
+            memory = Memory(t=t - self.free.dt, phase=index, tau=np.zeros(robot.nv), q=q, v=v, loops=loops)
             self.free.memory = memory
             out = self.free.step(t, q, v, measured=given)
             certificate.states += count
@@ -193,6 +185,7 @@ class Oracle:
         state = self.built.robot.state(
             q, v, t, self.free.dt if memory.t is None or random else self.built.controller.state.dt
         )
+        state.starts = {phase.tasks[name]: start for name, start in memory.starts.items() if name in phase.tasks}
         sources = [("pinocchio", lambda name: _pinocchio(state, name))]
         if self._mj is not None:
             sources.append(("mujoco", self._mujoco(q, v)))
@@ -253,12 +246,6 @@ def _carrier(robot: Robot, name: str) -> tuple[int, pin.SE3]:
 def _unlimited(phase: Phase) -> Phase:
     n = phase.torque.low.size
     free = np.full(n, np.inf)
-    return Phase(
-        {name: contact.without_cone() for name, contact in phase.contacts.items()},
-        phase.tasks,
-        phase.weights,
-        TorqueLimit(-free, free, free, phase.torque.joints),
-        None,
-        phase.name,
-        phase.until,
-    )
+    contacts = {name: contact.without_cone() for name, contact in phase.contacts.items()}
+    torque = TorqueLimit(-free, free, free, phase.torque.joints)
+    return replace(phase, contacts=contacts, torque=torque, joint=None, exit=None)

@@ -66,7 +66,15 @@ from .indirect import (
 )
 from .sampled import acceleration_feedback_limit, least_stable_damping, least_stable_mass, rendered_mass
 from .se3 import Array, ad, adjoint, exp3, exp6, inverse, log3, log6, pose_error, pose_error_split, skew, twist_error
-from .second_order import admittance, damping_ratio, impedance, measurement, natural_frequency, step_response
+from .second_order import (
+    admittance,
+    damping_ratio,
+    impact_peak,
+    impedance,
+    measurement,
+    natural_frequency,
+    step_response,
+)
 
 __all__ = [
     "Array",
@@ -98,6 +106,7 @@ __all__ = [
     "gain_matrix",
     "hybrid_acceleration",
     "hybrid_torque",
+    "impact_peak",
     "impedance",
     "impedance_acceleration",
     "impedance_torque",

@@ -83,6 +83,27 @@ def step_response(m: float, b: float, k: float, f: float, t: ArrayLike) -> tuple
     return np.asarray(f * x), np.asarray(f / m * S)
 
 
+def impact_peak(m: float, b: float, k: float, v: float) -> float:
+    """Largest force b xd + k x [N] of a mass that meets spring and damper, side by side, at a speed v >= 0 [m/s].
+
+    With m xdd + b xd + k x = 0, x = 0 and xd = v at first, wn = sqrt(k/m) and zeta = b / (2 sqrt(k m)) = sin(psi):
+
+    b v                                              zeta >= 1/2, at once
+    sqrt(k m) v exp(-(pi/2 - 3 psi) tan(psi))        else, at sqrt(1 - zeta^2) wn t = pi/2 - 3 psi
+    """
+    _require(m, b, k)
+    _require_speed(v)
+    if b * b >= k * m:
+        return b * v
+    psi = float(np.arcsin(damping_ratio(m, b, k)))
+    return float(np.sqrt(k * m) * v * np.exp(-(np.pi / 2 - 3 * psi) * np.tan(psi)))
+
+
+def _require_speed(v: float) -> None:
+    if not (np.isfinite(v) and v >= 0):
+        raise GainError(f"v: got {v:.6g}, expected a finite speed of at least 0")
+
+
 def _rise(p: float, t: Array) -> Array:
     """int_0^t e^(-ps) ds."""
     return np.asarray(t if p == 0 else -np.expm1(-p * t) / p)

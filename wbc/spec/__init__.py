@@ -5,14 +5,16 @@ adds what holds between the entries, and `Spec` remembers where in the file each
 environment; twists and wrenches are angular part first; units stand in the descriptions, and so in the JSON schema.
 
 From the bottom up: `source` reads YAML, `fields` has the base class and the types of values; `reference`, `contact`,
-`task` and `limit` are the sections of the file; `agreement` checks them against each other; `document` is the whole.
+`task`, `phase` and `limit` are the sections of the file; `agreement` checks them against each other; `document` is the
+whole.
 """
 
 from ..axes import RECIPROCAL, VELOCITY_AXES, WRENCH_AXES
 from .contact import NORMAL, Contact, FreeMotion, Friction, Push, Screw
 from .document import MAX_ENTRIES, Spec, json_schema, load
 from .fields import Model
-from .limit import Bound, Expect, Limits, Margin, Noise, Phase, Plant, Scale, Until
+from .limit import Bound, Expect, Limits, Margin, Noise, Plant, Scale
+from .phase import Phase, Until, Within
 from .reference import Circle, Curve, Hold, Line, Lissajous, Quintic, Reference
 from .task import ForceTask, MotionTask, PostureTask, Task
 
@@ -29,4 +31,4 @@ __all__ = [
 ]
 __all__ += ["Circle", "Curve", "Hold", "Line", "Lissajous", "Quintic", "Reference"]
 __all__ += ["Contact", "ForceTask", "FreeMotion", "Friction", "MotionTask", "PostureTask", "Push", "Screw", "Task"]
-__all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until"]
+__all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until", "Within"]

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from collections.abc import Set as AbstractSet
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Any
 from ..axes import WRENCH_AXES
 from ..errors import did_you_mean
 from .fields import shown
+from .phase import STOP
 from .source import MAX_FAULTS, KeyPath, Message, NoSuchKey, dotted, put
 from .task import ForceTask, MotionTask, PostureTask
 
 if TYPE_CHECKING:
     from .document import Spec
+    from .phase import Phase
 
 LeftOut = AbstractSet[KeyPath]
 SECTIONS: tuple[KeyPath, ...] = (("limits",), ("plant",), ("plant", "noise"))  # `--set` makes them when absent
@@ -84,14 +86,11 @@ def _of_task(task: ForceTask | MotionTask, spec: Spec, left_out: LeftOut) -> Ite
 
 def _of_phases(spec: Spec, left_out: LeftOut, check: Callable[[Any], list[Message]]) -> Iterator[Message]:
     tree = spec.model_dump(by_alias=True, exclude_unset=True, exclude={"phases", "expect"})
+    if spec.phases and not any(key[0] in ("phases", "contacts", "tasks") for key in left_out):
+        yield from _of_names(spec)
     for name, phase in spec.phases.items():
         path: KeyPath = ("phases", name)
-        last = name == list(spec.phases)[-1]
-        if phase.until is None and not last:
-            yield (*path, "until"), "is missing; only the last phase may go on without an end"
-        if phase.until is not None and last and all(key[0] != "phases" for key in left_out):
-            message = "the last phase runs to the end; remove until, or add a phase after it"
-            yield (*path, "until"), f"expected none: {message}"
+        yield from ((path + key, message) for key, message in _of_phase(phase, spec, left_out))
         changed: Any = tree
         places: dict[KeyPath, str] = {}
         for key, value in phase.set.items():
@@ -109,3 +108,58 @@ def _of_phases(spec: Spec, left_out: LeftOut, check: Callable[[Any], list[Messag
             key = next((key for place, key in places.items() if at[: len(place)] == place), "")
             tail = message if tuple(key.split(".")) == at else f"{dotted(at)}: {message}"
             yield (*path, "set", *([key] if key else [])), tail
+
+
+def _of_names(spec: Spec) -> Iterator[Message]:
+    """Phases lead to phases, each of them is led to, and each contact and task is active in one of them."""
+    names = list(spec.phases)
+    if STOP in names:
+        yield ("phases", STOP), "this word is taken by the end of a run; expected another name"
+    named = {way for phase in spec.phases.values() for way in (phase.else_, phase.lost)}
+    for name, follower in zip(names, [*names[1:], None], strict=True):
+        phase = spec.phases[name]
+        if phase.until is None and follower is not None and follower not in named:
+            yield ("phases", name, "until"), "is missing; only the last phase may go on without an end"
+        if phase.until is not None and follower is None:
+            message = "the last phase runs to the end; remove until, or add a phase after it"
+            yield ("phases", name, "until"), f"expected none: {message}"
+        for key, way in (("else", phase.else_), ("lost", phase.lost)):
+            if way is not None and way not in (*names, STOP):
+                yield ("phases", name, key), f"no phase named {shown(way)}{did_you_mean(way, (*names, STOP))}"
+    for section in ("contacts", "tasks"):
+        used = {name for phase in spec.phases.values() for name in phase.active(section, getattr(spec, section))}
+        for name in getattr(spec, section):
+            if name not in used:
+                yield (section, name), f"is active in no phase; expected one to name it in its {section}"
+
+
+def _of_phase(phase: Phase, spec: Spec, left_out: LeftOut) -> Iterator[tuple[KeyPath, str]]:
+    for section in ("contacts", "tasks"):
+        for i, entry in enumerate(getattr(phase, section) or ()):
+            if message := _unknown(entry, spec, section, left_out):
+                yield (section, i), message
+    contacts, tasks = (phase.active(section, getattr(spec, section)) for section in ("contacts", "tasks"))
+    key = "tasks" if phase.tasks is not None else "contacts"
+    for task in tasks:
+        contact = getattr(spec.tasks[task], "contact", None)
+        if contact in spec.contacts and contact not in contacts:
+            where = "list the tasks of this phase without it" if phase.tasks is None else "leave it out"
+            yield (key,), f"task {task!r} is on contact {contact!r}, which is not active; only active ones: {where}"
+    if phase.lost is not None and not any(isinstance(spec.tasks[task], ForceTask) for task in tasks):
+        yield ("lost",), "nothing presses in this phase; expected a force task, whose contact can be lost"
+    for quantity in phase.until.conditions if phase.until is not None else ():
+        if quantity != "time" and (message := _unmeasured(quantity, tasks, spec, left_out)):
+            yield ("until", quantity), message
+
+
+def _unmeasured(quantity: str, tasks: Collection[str], spec: Spec, left_out: LeftOut) -> str | None:
+    """What is wrong with the name of a measured quantity, of any contact or of a task of the phase."""
+    subject, _, what = quantity.rpartition(".")
+    motions = [name for name, task in spec.tasks.items() if isinstance(task, MotionTask)]
+    known = [f"{name}.{each}" for name in spec.contacts for each in (*WRENCH_AXES, "distance")]
+    known += [f"{name}.{each}" for name in motions if name in tasks for each in ("done", "error", "speed")]
+    if quantity in known or any((section, subject) in left_out for section in ("contacts", "tasks")):
+        return None
+    if subject in motions and subject not in tasks and what in ("done", "error", "speed"):
+        return f"task {subject!r} is not active in this phase; expected one of its own"
+    return f"no such quantity{did_you_mean(quantity, [*known, 'time'])}"

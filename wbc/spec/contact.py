@@ -61,7 +61,7 @@ class Push(Model):
     """The direction in which the world only lets itself be pushed."""
 
     along: Side = Field(
-        description="direction in which the robot pushes on the world, in the axes of A (z: a surface's normal): -z ..."
+        description="direction of the push on the world, in the axes of A (z: a surface's normal): -z, ..."
     )
     least: NonNegative = Field(default=0.0, description="smallest push [N]")
 

@@ -17,7 +17,8 @@ from ..resources import find_file, shipped_names
 from .agreement import SECTIONS, LeftOut, disagreements
 from .contact import Contact
 from .fields import Model, Name, Number, Pose, Positive, Text, faulty
-from .limit import Expect, Limits, Phase, Plant
+from .limit import Expect, Limits, Plant
+from .phase import Phase
 from .reference import Reference
 from .source import MAX_BYTES, Message, NoSuchKey, Source, parse, printable, put
 from .task import Task

@@ -46,7 +46,19 @@ _EXPECTED = {
     "too_long": "at most {max_length} entries",
 }
 # Parts of pydantic's paths that are no keys of the file
-_TAGS = {"<number>", "<name>", "<list>", "<matrix>", "<map>", "<scale>", "<force>", "<motion>", "<posture>", "[key]"}
+_TAGS = {
+    "<number>",
+    "<name>",
+    "<list>",
+    "<matrix>",
+    "<map>",
+    "<scale>",
+    "<true>",
+    "<force>",
+    "<motion>",
+    "<posture>",
+    "[key]",
+}
 
 
 def shown(value: Any) -> str:

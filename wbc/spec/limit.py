@@ -1,4 +1,4 @@
-"""What bounds a run: hard limits of the joints, phases, what only the simulator knows, and what a run must hold."""
+"""What bounds a run: hard limits of the joints, what only the simulator knows, and what a run must hold."""
 
 from __future__ import annotations
 
@@ -46,19 +46,6 @@ class Limits(Model):
     torque_rate: RateLimit | None = Field(default=None, description="change of the joint torque [N m/s]")
     position: PositionLimit | None = Field(default=None, description="joint position [rad]")
     velocity: Limit | None = Field(default=None, description="joint velocity [rad/s]")
-
-
-class Until(Model):
-    """What ends a phase."""
-
-    time: Positive = Field(description="time since the phase began [s]")
-
-
-class Phase(Model):
-    """A stretch of time with values of its own; what `set` does not name is as without phases."""
-
-    set: dict[str, Number] = Field(default={}, description="dotted key -> number, for this phase alone")
-    until: Until | None = Field(default=None, description="what ends the phase; the last one has none")
 
 
 class Noise(Model):

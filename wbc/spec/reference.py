@@ -16,7 +16,11 @@ Waypoint = Annotated[tuple[Number, ...], Field(min_length=3, max_length=6), name
 
 
 class Curve(Model):
-    in_: Text = Field(default="world", alias="in", description="frame of the scene in which the reference is given")
+    in_: Text = Field(
+        default="world",
+        alias="in",
+        description="frame of the scene in which the reference is given; self: it goes out from where its frame is",
+    )
 
 
 class Hold(Curve):

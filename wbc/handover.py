@@ -1,0 +1,128 @@
+"""What one phase leaves to the next, so that nothing jumps: references that go on or are taken up, force loops.
+
+A motion task whose reference goes on is left alone. One that begins takes its reference up where the robot is: at the
+pose and the twist of its frame, which then lead into the reference. A force loop that begins asks first for what the
+last torque already presses with; its integral then leads to the target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from .dynamics import reaction
+from .phase import Program
+from .qp import Array
+from .reference import Reference, Sample, advanced, seen_from
+from .robot import State
+from .task import ForceLoop, ForceTask, Task
+
+FADE = 0.5  # [s] in which what was between the robot and its reference fades out, or longer:
+FADE_SPEED, FADE_TURN = 0.1, 0.5  # [m/s], [rad/s] no faster than this
+NOTHING = 1e-9  # [m, rad, m/s, rad/s] of difference
+_ORDER = [3, 4, 5, 0, 1, 2]
+_SLOPE = 1.875  # the largest of a quintic from 0 to 1
+
+
+class Start(NamedTuple):
+    """When and how a task began under way.
+
+    What it follows is `shift` T_d(s) exp([S_1] a(s)) exp([S_2] b(s)), s = t - t_0 with t_0 = `t`. The two `screws`
+    (2, 6) undo the difference in pose, then that in twist, at s = 0: a falls from 1 to 0; b, 0 with a slope of 1, comes
+    back to 0. Both are quintics that come to rest at s = `fade`.
+    """
+
+    t: float = 0.0  # [s] on the clock of `State.t`
+    shift: pin.SE3 | None = None
+    screws: Array | None = None
+    fade: float = 0.0  # [s]
+
+    def sample(self, reference: Reference, t: float) -> Sample:
+        """What is followed at time t [s]."""
+        s = t - self.t
+        sample = reference(s)
+        if self.shift is not None:
+            sample = Sample(self.shift * sample.T, sample.motion)
+        if self.screws is None or s >= self.fade:
+            return sample
+        T, u = self.fade, max(s / self.fade, 0.0)
+        a = (
+            1.0 - u**3 * (10.0 - 15.0 * u + 6.0 * u * u),
+            -30.0 * (u * (1.0 - u)) ** 2 / T,
+            -60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / T**2,
+        )
+        b = (
+            T * u * (1.0 - u * u * (6.0 - 8.0 * u + 3.0 * u * u)),
+            1.0 - u * u * (18.0 - 32.0 * u + 15.0 * u * u),
+            -u * (36.0 - 96.0 * u + 60.0 * u * u) / T,
+        )
+        return advanced(self.screws[1], *b, advanced(self.screws[0], *a, sample))
+
+
+def take_up(reference: Reference, t: float, T: pin.SE3, V: Array) -> Start:
+    """The start at time t [s] of a reference that a frame at pose T with body twist V (6,) takes up."""
+    desired, shift = reference(0.0), None
+    if getattr(reference, "relative", False):
+        shift, desired = T * desired.T.inverse(), Sample(T, desired.motion)
+    X = desired.T.actInv(T)
+    pose, twist = pin.log6(X).vector[_ORDER], V - seen_from(X, desired.motion)[:, 0]
+    if max(np.abs(pose).max(), np.abs(twist).max()) <= NOTHING:
+        return Start(t, shift)
+    far = max(float(np.linalg.norm(pose[3:])) / FADE_SPEED, float(np.linalg.norm(pose[:3])) / FADE_TURN)
+    return Start(t, shift, np.array([pose, twist]), max(FADE, _SLOPE * far))
+
+
+def hand_over(
+    before: Program,
+    after: Program,
+    state: State,
+    starts: Mapping[str, Start],
+    loops: Mapping[str, ForceLoop],
+    tau: Array,
+) -> tuple[dict[str, Start], dict[str, ForceLoop]]:
+    """Starts by task and force loops by contact of the phase that begins.
+
+    `state` has the contacts of the new phase, and the wrenches measured; `tau` (nv,) is the last torque [N m].
+    """
+    begun: dict[str, Start] = {}
+    for name, task in after.phase.tasks.items():
+        if _goes_on(before.phase.tasks.get(name), task, before.phase.contacts):
+            if name in starts:
+                begun[name] = starts[name]
+        elif (reference := getattr(task, "reference", None)) is not None:
+            frame = state.frame(task.frame)  # type: ignore[attr-defined]
+            begun[name] = take_up(reference, state.t, frame.T, frame.V)
+        else:
+            begun[name] = Start(state.t)
+    state.starts = after.named(begun)
+    kept = {name: loop for name, loop in loops.items() if name in before.phase.contacts and name in after.force}
+    lam = reaction(state, tau) if set(after.force) - set(kept) else {}
+    made = {}
+    for contact, (_, task) in after.force.items():
+        if contact not in kept:
+            made[contact] = task.begin(state, lam[contact])
+        else:
+            made[contact] = _resumed(kept[contact], before.force.get(contact, ("", task))[1], task)
+    return begun, made
+
+
+def _goes_on(old: Task | None, task: Task, contacts: Mapping[str, object]) -> bool:
+    """Whether a task of the last phase is the same motion, or presses on the same contact, in this one."""
+    if old is None or type(old) is not type(task):
+        return False
+    if isinstance(task, ForceTask):
+        return task.contact in contacts and getattr(old, "contact", None) == task.contact
+    reference = getattr(task, "reference", None)
+    return reference is None or (
+        getattr(old, "reference", None) is reference and getattr(old, "frame", "") == getattr(task, "frame", "")
+    )
+
+
+def _resumed(loop: ForceLoop, old: ForceTask, task: ForceTask) -> ForceLoop:
+    """A loop that goes on with other gains: its integral's part of the command stays."""
+    if task is old or np.array_equal(task.Ki, old.Ki) or loop.integral.size != len(task.Ki):
+        return loop
+    return loop._replace(integral=task.integral_for(old.Ki @ loop.integral))

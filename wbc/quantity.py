@@ -1,0 +1,73 @@
+"""The measured quantities that end a phase, as readings of a state.
+
+CONTACT.AXIS       wrench of the robot on the environment, at the contact's frame, also of one that is not active
+CONTACT.distance   of its frame from where the contact holds it, along the axis that it holds [m]
+TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s]
+TASK.done          1 when the reference, and what led into it, have come to rest for good
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from .qp import Array
+from .robot import State
+from .task import ForceTask, MotionTask
+from .transition import Reading
+
+
+def force(contact: str, axis: int) -> Reading:
+    """Component 0 .. 5 of the measured wrench (m, f) [N m, N]."""
+
+    def read(state: State) -> float:
+        F = state.measured.get(contact)
+        return math.nan if F is None else float(F[axis])
+
+    return read
+
+
+def distance(frame: str, place: pin.SE3, axis: int) -> Reading:
+    """How far a frame is beyond `place`, along axis 0 .. 2 of that pose [m]."""
+    normal, origin = place.rotation[:, axis].copy(), float(place.rotation[:, axis] @ place.translation)
+    return lambda state: float(normal.dot(state.frame(frame).T.translation)) - origin
+
+
+def error(task: MotionTask) -> Reading:
+    """[m]"""
+    return lambda state: float(np.linalg.norm(task.error(state)[3:]))
+
+
+def speed(task: MotionTask) -> Reading:
+    """[m/s]"""
+    return lambda state: float(np.linalg.norm(state.frame(task.frame).V[3:]))
+
+
+def done(task: MotionTask) -> Reading:
+    """1 or 0."""
+    ends = ending(task)
+
+    def read(state: State) -> float:
+        start = state.starts.get(task)
+        return float(state.since(task) >= (ends if start is None else max(ends, start.fade)))
+
+    return read
+
+
+def ending(task: MotionTask) -> float:
+    """When the reference of a task has come to rest for good, after it began [s]; infinite: never."""
+    return float(getattr(task.reference, "ends", math.inf))
+
+
+def pressing(task: ForceTask) -> Reading:
+    """The measured force along the desired one, as a share of it [1]; not a number where no force is desired."""
+
+    def read(state: State) -> float:
+        F = state.measured.get(task.contact)
+        f_d: Array = state.contacts[task.contact].A.T.dot(task.desired(state))[3:]
+        square = float(f_d.dot(f_d))
+        return math.nan if F is None or square < 1e-12 else float(F[3:].dot(f_d)) / square
+
+    return read
