@@ -31,6 +31,14 @@ SPECS: dict[str, dict[str, float]] = {
         "draw.position.rms_error": 1e-4,
         "board.tilt": 0.05,  # [deg]
     },
+    "chalk_liftoff": {
+        "board.fz.rms_error": 0.005,
+        "draw.position.rms_error": 8e-5,
+        "board.peak": 30.0,  # [N] three times the target, at 0.02 m/s
+        "board.impact_error": 0.15,
+        "board.pull": 0,
+        "lift.overshoot": 0.01,  # [m/s]
+    },
     "eraser_noisy": {"board.fz.rms_error": 0.05},  # sensor noise of 0.2 N
     "eraser_weak": {"board.fz.max_error": 2.0, "draw.speed.max": 0.5, "board.lost": 0},
     "polish_sphere": {"dome.normal.rms_error": 0.005, "polish.position.rms_error": 8e-5},

@@ -32,7 +32,7 @@ GAINS = {"kp", "ki", "kd", "damping"}
 DEFAULTS = {"rate", "tasks.posture.target", "limits.torque"}  # keys shipped at their default
 SAMPLE = 60  # accepted mutations of each spec that the small campaign builds and runs
 TICKS = 20
-TIMES = (0.0, 0.4, 1.3, 2.9)  # [s] at which references are looked at
+TIMES = (0.0, 0.4, 1.3, 2.9, 3.7)  # [s] at which references are looked at
 
 # what to do about it: what was expected, the nearest name, or advice
 REMEDY = re.compile(
@@ -185,7 +185,9 @@ def fingerprint(spec: Spec, robots: dict[Any, Any]) -> dict[str, Any]:
 def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
     state = built.robot.state(built.q, np.full(built.robot.nv, 0.1))
     yield "name", phase.name
-    yield "until", phase.until
+    if (way := phase.exit) is not None:
+        yield "until", repr([(c.name, c.low, c.high, c.duration) for c in way.until])
+        yield "ways", repr((way.then, way.timeout, way.otherwise, way.lost))
     yield "torque", (phase.torque.low, phase.torque.high, phase.torque.rate)
     if phase.joint is not None:
         for share in (0.0, 0.5, 0.9, 0.999):

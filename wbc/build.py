@@ -196,14 +196,12 @@ def _reading(base: Geometry, path: Place, quantity: str, tasks: Mapping[str, Tas
     if what in WRENCH_AXES:
         return quantities.force(subject, WRENCH_AXES.index(what))
     if what == "distance":
-        frame, place, axis = base.normal(subject, q)
-        if axis is None:
-            held = ", ".join(base.spec.contacts[subject].constrained) or "screws"
-            base.faults.add(
-                path, f"contact {subject!r} holds {held}; expected one that holds a single one of vx, vy, vz"
-            )
-            return None
-        return quantities.distance(frame, place, axis)
+        read = base.distance(subject, q)
+        if read is None:
+            held = ", ".join(base.spec.contacts[subject].constrained) or "no axis"
+            message = f"contact {subject!r} holds {held}; expected one that holds a single one of vx, vy, vz"
+            base.faults.add(path, message)
+        return read
     task = tasks.get(subject)
     if not isinstance(task, MotionTask):
         return None  # at fault already

@@ -17,7 +17,7 @@ from .contact import Contact
 from .errors import NameNotFound, StateError, did_you_mean
 from .handover import Start, hand_over
 from .kernels import torque
-from .phase import Phase, Program, hold, place, settle_posture
+from .phase import Phase, Program, carry, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State
 from .solver import DEFAULT, Solution, Solver, answer, make
@@ -237,27 +237,18 @@ class Controller:
             else:
                 tau_last = tau_applied + memory.gravity if self.robot.gravity == "robot" else tau_applied
                 tau_last = program.phase.torque.inside(tau_last)
-        before, change = program, None
+        change = None
         if program.phase.exit is not None:
             watch, change = program.phase.exit.step(memory.watch, t - memory.phase_start, state)
             memory = memory._replace(watch=watch)
-        if change is not None:
-            if change.to == STOP:
-                return self._stop(q, v, change)
-            program = self._programs[self._index[change.to]]
+        if change is None:
+            carry(state, program.phase)
+        elif change.to == STOP:
+            return self._stop(q, v, change)
+        else:
+            memory = self._enter(state, memory, change, t, tau_last)
+            program = self._programs[memory.phase]
             tau_last = program.phase.torque.inside(tau_last)
-            state.contacts = {}
-            hold(state, program.phase)
-        for name in program.phase.fed:
-            if name in state.measured:
-                held = state.contacts[name]
-                state.carry(held.frame, program.phase.contacts[name].known(state, held, state.measured[name]))
-        if change is not None:
-            starts, loops = hand_over(before, program, state, memory.starts, memory.loops, tau_last)
-            memory = memory._replace(
-                phase=self._index[change.to], phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH,
-                why=_told(before.phase, change),
-            )  # fmt: skip
         self.recalled = memory
         state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
         bounds = program.phase.torque.bounds(tau_last, self.dt)
@@ -269,6 +260,17 @@ class Controller:
         if not solution.accepted:
             return self._hold(program.last.fault() or solution.reason)
         return self._accept(program, state, solution, tau_last, bounds, memory, t, refused, missed)
+
+    def _enter(self, state: State, memory: Memory, change: Change, t: float, tau: Array) -> Memory:
+        """Another phase begins at this tick: its contacts are held, and it is handed what goes on."""
+        before, index = self._programs[memory.phase], self._index[change.to]
+        after = self._programs[index]
+        state.contacts = {}
+        hold(state, after.phase)
+        carry(state, after.phase)
+        starts, loops = hand_over(before, after, state, memory.starts, memory.loops, after.phase.torque.inside(tau))
+        why = _told(before.phase, change)
+        return memory._replace(phase=index, phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH, why=why)
 
     def _stop(self, q: Array, v: Array, change: Change) -> Output:
         """A phase that leads nowhere: the safe hold, without the wrench of a contact that is lost."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from . import quantity
 from . import spec as specs
 from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
@@ -18,6 +19,7 @@ from .friction import unilateral
 from .qp import Array
 from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, constant, hold, quintic, ramp, sine
 from .robot import Robot
+from .transition import Reading
 from .wrench import VELOCITY_AXES
 
 SELF = "self"  # of a reference: it goes out from wherever its frame is
@@ -116,12 +118,14 @@ class Geometry:
             return self.robot.fixed_pose(on), on
         return self.robot.state(q, np.zeros(self.robot.nv)).frame(contact.frame).T, None
 
-    def normal(self, name: str, q: Array) -> tuple[str, pin.SE3, int | None]:
-        """The frame of a contact, where it is held, and the one linear axis 0 .. 2 of that along which it is."""
+    def distance(self, name: str, q: Array) -> Reading | None:
+        """How far the frame of a contact is from where it is held; None where it is not held along one direction."""
         entry = self.spec.contacts[name]
-        linear = [axis for axis in entry.constrained if axis[0] == "v"]
         place, _ = self._on(name, entry, q)
-        return entry.frame, place, VELOCITY_AXES.index(linear[0]) - 3 if len(linear) == 1 else None
+        if entry.surface is not None and entry.surface.sphere is not None:
+            return quantity.from_sphere(entry.frame, place.translation, entry.surface.sphere.radius)
+        linear = [VELOCITY_AXES.index(axis) - 3 for axis in entry.constrained if axis[0] == "v"]
+        return quantity.from_plane(entry.frame, place, linear[0]) if len(linear) == 1 else None
 
     def _contact(self, name: str, entry: specs.Contact, q: Array) -> tuple[Contact, Reference]:
         origin, on = self._on(name, entry, q)
@@ -146,7 +150,8 @@ class Geometry:
             component, path = VELOCITY_AXES.index(axis), ("contacts", name, "artificial", axis)
             target = entry.motion_targets.get(axis, 0.0)
             along[component] = self._scalar(target, component, path, on or "world")
-        return contact, Path(origin, along, ends=self._ends(entry))
+        drawn = frozenset(VELOCITY_AXES.index(axis) for axis in free if self._drawn(entry.motion_targets.get(axis)))
+        return contact, Path(origin, along, ends=self._ends(entry), placed=drawn)
 
     def _push(
         self, name: str, entry: specs.Contact, push: specs.Push, contact: Contact, path: Reference, q: Array
@@ -176,7 +181,8 @@ class Geometry:
             self.faults.add(("contacts", name), message)
         drawn = entry.motion_targets.get("motion")
         along = {axis: self._scalar(drawn, axis, path, on) for axis in (3, 4)} if drawn is not None else {}
-        curve = SpherePath(origin, radius, along.get(3, constant(0.0)), along.get(4, constant(0.0)))
+        x, y = (along.get(axis, constant(0.0)) for axis in (3, 4))
+        curve = SpherePath(origin, radius, x, y, self._ends(entry))
         return SphereContact(entry.frame, origin.translation), curve
 
     def _check_table(self, name: str, entry: specs.Contact, able: Sequence[str]) -> None:
@@ -203,7 +209,12 @@ class Geometry:
             target, path = entry.motion_targets.get(label, 0.0), ("contacts", name, "artificial", label)
             scalars.append(self._scalar(target, component, path, None))
         contact = ScrewContact(entry.frame, np.array(screws).reshape(-1, 6), origin, tuple(entry.free or ()))
-        return contact, ScrewPath(origin, screws, scalars, pin.SE3.Identity(), self._ends(entry))
+        drawn = any(map(self._drawn, entry.motion_targets.values()))
+        return contact, ScrewPath(origin, screws, scalars, pin.SE3.Identity(), self._ends(entry), not drawn)
+
+    def _drawn(self, target: float | str | None) -> bool:
+        """Whether a target of motion has places, not only a speed."""
+        return isinstance(target, str) and self.spec.references[target].kind != "hold"
 
     def _ends(self, entry: specs.Contact) -> float:
         """When all motion of a contact has come to rest for good [s]."""

@@ -1,8 +1,9 @@
 """What one phase leaves to the next, so that nothing jumps: references that go on or are taken up, force loops.
 
-A motion task whose reference goes on is left alone. One that begins takes its reference up where the robot is: at the
-pose and the twist of its frame, which then lead into the reference. A force loop that begins asks first for what the
-last torque already presses with; its integral then leads to the target.
+A motion task whose reference goes on is left alone. One that begins takes its reference up where the robot is: along
+axes on which the reference says only how to move, for good; along the others the pose and the twist of the frame lead
+into it. A force loop that begins asks first for what the last torque already presses with; its integral then leads to
+the target.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import pinocchio as pin
 from .dynamics import reaction
 from .phase import Program
 from .qp import Array
-from .reference import Reference, Sample, advanced, seen_from
+from .reference import ALL_AXES, Reference, Sample, advanced, seen_from
 from .robot import State
 from .task import ForceLoop, ForceTask, Task
 
@@ -30,13 +31,14 @@ _SLOPE = 1.875  # the largest of a quintic from 0 to 1
 class Start(NamedTuple):
     """When and how a task began under way.
 
-    What it follows is `shift` T_d(s) exp([S_1] a(s)) exp([S_2] b(s)), s = t - t_0 with t_0 = `t`. The two `screws`
-    (2, 6) undo the difference in pose, then that in twist, at s = 0: a falls from 1 to 0; b, 0 with a slope of 1, comes
-    back to 0. Both are quintics that come to rest at s = `fade`.
+    What it follows is `shift` T_d(s) `offset` exp([S_1] a(s)) exp([S_2] b(s)), s = t - t_0 with t_0 = `t`. The two
+    `screws` (2, 6) undo the difference in pose, then that in twist, at s = 0: a falls from 1 to 0; b, 0 with a slope of
+    1, comes back to 0. Both are quintics that come to rest at s = `fade`.
     """
 
     t: float = 0.0  # [s] on the clock of `State.t`
     shift: pin.SE3 | None = None
+    offset: pin.SE3 | None = None
     screws: Array | None = None
     fade: float = 0.0  # [s]
 
@@ -46,6 +48,8 @@ class Start(NamedTuple):
         sample = reference(s)
         if self.shift is not None:
             sample = Sample(self.shift * sample.T, sample.motion)
+        if self.offset is not None:
+            sample = Sample(sample.T * self.offset, seen_from(self.offset, sample.motion))
         if self.screws is None or s >= self.fade:
             return sample
         T, u = self.fade, max(s / self.fade, 0.0)
@@ -64,15 +68,39 @@ class Start(NamedTuple):
 
 def take_up(reference: Reference, t: float, T: pin.SE3, V: Array) -> Start:
     """The start at time t [s] of a reference that a frame at pose T with body twist V (6,) takes up."""
-    desired, shift = reference(0.0), None
-    if getattr(reference, "relative", False):
-        shift, desired = T * desired.T.inverse(), Sample(T, desired.motion)
+    start = _placed(reference, T)._replace(t=t)
+    desired = start.sample(reference, t)
     X = desired.T.actInv(T)
-    pose, twist = pin.log6(X).vector[_ORDER], V - seen_from(X, desired.motion)[:, 0]
+    pose, twist = _vector(X), V - seen_from(X, desired.motion)[:, 0]
     if max(np.abs(pose).max(), np.abs(twist).max()) <= NOTHING:
-        return Start(t, shift)
+        return start
     far = max(float(np.linalg.norm(pose[3:])) / FADE_SPEED, float(np.linalg.norm(pose[:3])) / FADE_TURN)
-    return Start(t, shift, np.array([pose, twist]), max(FADE, _SLOPE * far))
+    return start._replace(screws=np.array([pose, twist]), fade=max(FADE, _SLOPE * far))
+
+
+def _placed(reference: Reference, T: pin.SE3) -> Start:
+    """What has no place of its own takes that of the frame, for good."""
+    here = reference(0.0).T
+    if getattr(reference, "relative", False):
+        return Start(shift=_unless_nothing(T * here.inverse()))
+    placed = getattr(reference, "placed", ALL_AXES)
+    if placed == ALL_AXES:
+        return Start()
+    R = reference.origin.rotation  # type: ignore[attr-defined]
+    away = R.T @ (T.translation - here.translation)
+    away[[axis - 3 for axis in placed if axis > 2]] = 0.0
+    turn = np.eye(3) if placed & {0, 1, 2} else here.rotation.T @ T.rotation
+    shift, offset = pin.SE3(np.eye(3), R @ away), pin.SE3(turn, np.zeros(3))
+    return Start(shift=_unless_nothing(shift), offset=_unless_nothing(offset))
+
+
+def _unless_nothing(X: pin.SE3) -> pin.SE3 | None:
+    return X if np.abs(_vector(X)).max() > NOTHING else None
+
+
+def _vector(X: pin.SE3) -> Array:
+    """(6,) log X, angular part first."""
+    return np.asarray(pin.log6(X).vector[_ORDER], float)
 
 
 def hand_over(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .qp import Array
 
@@ -39,6 +40,12 @@ class Log:
     def __getitem__(self, name: str) -> Array:
         """All recorded rows of a quantity."""
         return self._arrays[name][: self.size]
+
+    def late(self, on: NDArray[np.bool_], settle: float) -> NDArray[np.bool_]:
+        """(N,) the ticks `on`, less `settle` [s] after each time that they begin."""
+        begins = on & ~np.concatenate((np.zeros(min(1, on.size), bool), on[:-1]))
+        since = self["t"] - np.maximum.accumulate(np.where(begins, self["t"], -np.inf))
+        return np.asarray(on & (since >= settle - 1e-9))
 
     @property
     def names(self) -> list[str]:

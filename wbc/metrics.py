@@ -83,7 +83,7 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         for i, axis in enumerate(task.axes):
             out |= _errors(f"{name}.{axis}", (lam - target)[late, i])
             out[f"{name}.{axis}.mean"] = float(lam[late, i].mean()) if late.any() else math.nan
-        out |= _peaks(log, name, [i for i, axis in enumerate(task.axes) if axis[0] == "f"])
+        out |= _peaks(log, name, [i for i, axis in enumerate(task.axes) if axis[0] == "f" or axis == "normal"])
     for name in [name for name, task in tasks.items() if isinstance(task, MotionTask)]:
         if f"{name}.error" not in log:
             continue
@@ -113,10 +113,7 @@ def _pressed(task: Any) -> str | None:
 
 def _late(log: Log, active: Sequence[bool], settle: float) -> NDArray[np.bool_]:
     """(N,) ticks of the active phases, less `settle` [s] after each time that they begin."""
-    on, t = np.array(active)[log["phase"].astype(int)], log["t"]
-    begins = on & ~np.concatenate(([False], on[:-1]))
-    since = t - np.maximum.accumulate(np.where(begins, t, -np.inf))
-    return np.asarray(on & (since >= settle - 1e-9))
+    return log.late(np.array(active)[log["phase"].astype(int)], settle)
 
 
 def _peaks(log: Log, name: str, linear: list[int]) -> dict[str, float]:

@@ -82,6 +82,14 @@ def hold(state: State, phase: Phase) -> None:
         state.contacts[name] = contact.hold(state)
 
 
+def carry(state: State, phase: Phase) -> None:
+    """Count what contacts feed forward of their measured wrenches as known."""
+    for name in phase.fed:
+        if name in state.measured:
+            held = state.contacts[name]
+            state.carry(held.frame, phase.contacts[name].known(state, held, state.measured[name]))
+
+
 class Program:
     """The program of one phase. Its structure is fixed here; `assemble` fills in the numbers of a tick."""
 

@@ -116,26 +116,29 @@ def _wrenches(fig: Figure, place: SubplotSpec, log: Log, blocks: list[Block]) ->
         names, true = [log.meta["contacts"][contact][j] for j in index], log[f"{contact}.lam"][:, index]
         told = f"{contact}.target" in log
         cell = GridSpecFromSubplotSpec(2 if told else 1, 1, grid[i // columns, i % columns], hspace=0.08)
-        ax = _axes(fig.add_subplot(cell[0], label=f"{contact} [{unit}]"), f"{contact} holds [{unit}]", log)
+        told_of = f"{contact}.target" if told else None
+        ax = _axes(fig.add_subplot(cell[0], label=f"{contact} [{unit}]"), f"{contact} holds [{unit}]", log, told_of)
         _lines(ax, log, true, names, linewidth=1.8)
         if told:
             target = log[f"{contact}.target"][:, index]
             _lines(ax, log, target, "target", INK, linewidth=1.0, linestyle=(0, (4, 3)))
             ax.tick_params(labelbottom=False)
-            _error(fig.add_subplot(cell[1], label=f"{contact} error [{unit}]"), log, true - target, names, unit)
-        _window(ax, np.array([-0.05, 0.05]), _known(true[_settled(log)]), np.percentile(_known(true), [1, 99], axis=0))
+            _error(fig.add_subplot(cell[1], label=f"{contact} error [{unit}]"), log, contact, index, unit)
+        settled, whole = _known(true[_settled(log, told_of)]), np.percentile(_known(true), [1, 99], axis=0)
+        _window(ax, np.array([-0.05, 0.05]), settled, whole)
         _legend(ax, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=7)
     hidden = ", ".join(dict.fromkeys(contact for contact, _, _ in blocks[BLOCKS:]))
     fig.axes[-1].set_xlabel(f"not drawn: {hidden}" if hidden else "", size=8, color=MUTED)
 
 
-def _error(ax: Axes, log: Log, error: Array, names: list[str], unit: str) -> None:
+def _error(ax: Axes, log: Log, contact: str, index: list[int], unit: str) -> None:
     """Error of the held wrench, in a unit and a window that suit what is settled."""
-    settled = _settled(log)
+    names, told_of = [log.meta["contacts"][contact][j] for j in index], f"{contact}.target"
+    error, settled = (log[f"{contact}.lam"] - log[told_of])[:, index], _settled(log, told_of)
     peak = np.abs(_known(error[settled])).max()
     factor, prefix = (1.0, "") if peak >= 0.1 or peak == 0.0 else (1e3, "m") if peak >= 1e-4 else (1e6, "µ")
     rms = [_rms(column) for column in factor * error[settled].T]
-    _axes(ax, "", log).set_ylabel(f"error\n[{prefix}{unit}]", size=8, color=INK)
+    _axes(ax, "", log, told_of).set_ylabel(f"error\n[{prefix}{unit}]", size=8, color=INK)
     _lines(ax, log, factor * error, [f"{name} rms {value:.2g}" for name, value in zip(names, rms, strict=True)])
     _window(ax, np.zeros(1), _known(factor * error[settled]), head=3.0)
     _legend(ax, loc="upper right", ncols=3, borderaxespad=0.1)
@@ -165,7 +168,7 @@ def _tracking(ax: Axes, log: Log, motions: list[str]) -> None:
     for i, name in enumerate(motions):
         for j, (what, unit, part) in enumerate((("position", "mm", slice(3, 6)), ("rotation", "mrad", slice(0, 3)))):
             error = 1e3 * np.linalg.norm(log[f"{name}.error"][:, part], axis=1)
-            text = f"{name}.{what}: rms {_rms(error[_settled(log)]):.2g} {unit}"
+            text = f"{name}.{what}: rms {_rms(error[_settled(log, f'{name}.error')]):.2g} {unit}"
             _lines(ax, log, np.maximum(error, 1e-9)[:, None], [text], COLOURS[(2 * i + j) % JOINTS])
     ax.set_yscale("log")
     ax.minorticks_off()
@@ -197,9 +200,12 @@ def _torques(ax: Axes, log: Log) -> None:
 
 def _status(fig: Figure, place: SubplotSpec, log: Log) -> None:
     """How good each tick was; below, which limits were active when, the most frequent first."""
-    grid = GridSpecFromSubplotSpec(2, 1, place, hspace=0.08, height_ratios=[1, 4])
+    changes = log.meta.get("changes", ())
+    grid = GridSpecFromSubplotSpec(3, 1, place, hspace=0.08, height_ratios=[1, 0.8 if len(changes) > 1 else 0.01, 4])
     strip = _axes(fig.add_subplot(grid[0], label="status"), "status", log)
-    raster = _axes(fig.add_subplot(grid[1], label="active"), "", log)
+    if len(changes) > 1 and log.size:
+        _phases(_axes(fig.add_subplot(grid[1], label="phases"), "", log), log, changes)
+    raster = _axes(fig.add_subplot(grid[2], label="active"), "", log)
     for i, name in enumerate(log.meta["status_names"] if "status" in log else ()):
         on = np.flatnonzero(log["status"] == i)
         _runs(strip, log, on, 0.0, 1.0, STATUS.get(name, MUTED), f"{name} {on.size}")
@@ -217,6 +223,19 @@ def _status(fig: Figure, place: SubplotSpec, log: Log) -> None:
     strip.tick_params(labelbottom=False)
     raster.set(ylim=(max(5, len(names)) + 0.1, -0.1), yticks=[])
     _legend(strip, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=5)
+
+
+def _phases(ax: Axes, log: Log, changes: Sequence[dict[str, Any]]) -> None:
+    """The phases by name, side by side, each name as long as there is room for it."""
+    ends = [*(change["start"] for change in changes[1:]), log["t"][-1] + log.meta["dt"]]
+    for i, (change, end) in enumerate(zip(changes, ends, strict=True)):
+        start, whole = change["start"], ends[-1] - log["t"][0]
+        ax.axvspan(start, end, color=(PALE, SHADE)[i % 2], linewidth=0)
+        name = _short(change["name"], int(60 * (end - start) / max(whole, 1e-9)))
+        ax.text(0.5 * (start + end), 0.5, name, size=8, color=INK, ha="center", **TEXT)
+    ax.set(ylim=(0, 1), yticks=[])
+    ax.grid(visible=False)
+    ax.tick_params(labelbottom=False)
 
 
 def _times(ax: Axes, log: Log) -> None:
@@ -271,8 +290,9 @@ def _row(ax: Axes, y: int, cells: Sequence[str], colour: str) -> None:
 # --- parts of a panel ---
 
 
-def _axes(ax: Axes, title: str, log: Log | None = None) -> Axes:
-    """The house style; with a log, a time axis on which the settling time is shaded."""
+def _axes(ax: Axes, title: str, log: Log | None = None, told_of: str | None = None) -> Axes:
+    """The house style; with a log, a time axis on which changes of phase are marked, and the settling time after each
+    begin of the quantity `told_of`, or of the run, is shaded."""
     ax.set_title(title, loc="left", y=1.0, size=11, weight="bold", color=INK, parse_math=False)
     ax.grid(color=GRID, linewidth=0.7)
     ax.tick_params(colors=INK, labelsize=8, length=0)
@@ -284,7 +304,10 @@ def _axes(ax: Axes, title: str, log: Log | None = None) -> Axes:
     if log is not None and "t" in log:
         start, end = log["t"][0], log["t"][-1] + log.meta["dt"]
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
-        ax.axvspan(start, max(start, min(log.meta.get("settle", 0.0), end)), color=SHADE, linewidth=0, zorder=0)
+        for begin in _begins(log, told_of):
+            ax.axvspan(begin, min(begin + log.meta.get("settle", 0.0), end), color=SHADE, linewidth=0, zorder=0)
+        for change in log.meta.get("changes", ())[1:]:
+            ax.axvline(change["start"], color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)), zorder=0.5)
         ax.locator_params(axis="x", nbins=8)
         ax.xaxis.set_major_formatter("{x:g} s")
     return ax
@@ -332,10 +355,24 @@ def _thin(t: Array, y: Array) -> tuple[Array, Array]:
     return np.repeat(t[starts], 2), np.column_stack((np.fmin.reduceat(y, starts), np.fmax.reduceat(y, starts))).ravel()
 
 
-def _settled(log: Log) -> NDArray[np.bool_]:
-    """(N,) ticks after the settling time; all of them when there are none."""
-    late = log["t"] >= log.meta.get("settle", 0.0) - 1e-9
-    return np.asarray(late if late.any() else ~late)
+def _on(log: Log, name: str | None) -> NDArray[np.bool_]:
+    """(N,) ticks in which a quantity is known; all of them without a name, or when there are none."""
+    everything = np.ones(log.size, bool)
+    known = everything if name is None else np.isfinite(log[name].reshape(log.size, -1)).all(axis=1)
+    return np.asarray(known if known.any() else everything)
+
+
+def _begins(log: Log, name: str | None) -> Array:
+    """Times at which a quantity begins to be known [s]."""
+    on = _on(log, name)
+    return log["t"][on & ~np.concatenate((np.zeros(min(1, on.size), bool), on[:-1]))]
+
+
+def _settled(log: Log, name: str | None = None) -> NDArray[np.bool_]:
+    """(N,) ticks after the settling time of a quantity, or of the run; all of its ticks when there are none."""
+    on = _on(log, name)
+    late = log.late(on, log.meta.get("settle", 0.0))
+    return late if late.any() else on
 
 
 def _known(y: Array) -> Array:

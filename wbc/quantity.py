@@ -4,6 +4,8 @@ CONTACT.AXIS       wrench of the robot on the environment, at the contact's fram
 CONTACT.distance   of its frame from where the contact holds it, along the axis that it holds [m]
 TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s]
 TASK.done          1 when the reference, and what led into it, have come to rest for good
+
+All of them are true of the robot's model and of the sensor, as the controller knows them.
 """
 
 from __future__ import annotations
@@ -29,10 +31,16 @@ def force(contact: str, axis: int) -> Reading:
     return read
 
 
-def distance(frame: str, place: pin.SE3, axis: int) -> Reading:
+def from_plane(frame: str, place: pin.SE3, axis: int) -> Reading:
     """How far a frame is beyond `place`, along axis 0 .. 2 of that pose [m]."""
     normal, origin = place.rotation[:, axis].copy(), float(place.rotation[:, axis] @ place.translation)
     return lambda state: float(normal.dot(state.frame(frame).T.translation)) - origin
+
+
+def from_sphere(frame: str, centre: Array, radius: float) -> Reading:
+    """How far a frame is outside of a sphere [m]."""
+    centre = centre.copy()
+    return lambda state: float(np.linalg.norm(state.frame(frame).T.translation - centre)) - radius
 
 
 def error(task: MotionTask) -> Reading:

@@ -5,7 +5,7 @@ frame, by the product of exponentials (book 4.1): T_d = T_in exp([S_1] s_1) exp(
 first, then rotations about z, y, x.
 
 Beside that a reference may have `ends` [s], when it has come to rest for good (never, when left out), and `relative`:
-whether it goes out from wherever the frame is when the reference is taken up.
+whether it goes out from wherever the frame is when the reference is taken up, along its axes.
 """
 
 from __future__ import annotations
@@ -97,12 +97,15 @@ def quintic(times: Sequence[float], values: Sequence[float]) -> Scalar:
 
 
 _ROTATIONS = (2, 1, 0)  # about z, then y, then x
+ALL_AXES = frozenset(range(6))
 
 
 class Path:
     """Motion along the axes of a fixed pose `origin`: `along[i]` moves axis i of (wx, wy, wz, vx, vy, vz).
 
-    `offset` is a constant pose applied last, so that a frame may keep its own orientation against `origin`.
+    `offset` is a constant pose applied last, so that a frame may keep its own orientation against `origin`. `placed`:
+    the axes along which the reference has a place of its own; along the others it only says how fast to move, and keeps
+    the place in which it is taken up.
     """
 
     def __init__(
@@ -112,9 +115,10 @@ class Path:
         offset: pin.SE3 | None = None,
         ends: float = math.inf,
         relative: bool = False,
+        placed: frozenset[int] = ALL_AXES,
     ) -> None:
         self.origin, self.along = origin.copy(), dict(along)
-        self.offset, self.ends, self.relative = offset, ends, relative
+        self.offset, self.ends, self.relative, self.placed = offset, ends, relative, placed
         self._place = origin.homogeneous[:3].copy()
         self._turns = [(i, self.along[i]) for i in _ROTATIONS if i in self.along]
         self._x, self._y, self._z = (self.along.get(i, constant(0.0)) for i in (3, 4, 5))
@@ -153,8 +157,8 @@ class SpherePath:
     z^2 = r^2 - x^2 - y^2, so that z zdot = -(x xdot + y ydot), and its derivative.
     """
 
-    def __init__(self, origin: pin.SE3, radius: float, x: Scalar, y: Scalar) -> None:
-        self._origin, self.radius, self._x, self._y = origin.copy(), radius, x, y
+    def __init__(self, origin: pin.SE3, radius: float, x: Scalar, y: Scalar, ends: float = math.inf) -> None:
+        self._origin, self.radius, self._x, self._y, self.ends = origin.copy(), radius, x, y, ends
 
     def __call__(self, t: float) -> Sample:
         (x, vx, ax), (y, vy, ay) = self._x(t), self._y(t)
@@ -176,8 +180,9 @@ class ScrewPath:
         scalars: Sequence[Scalar],
         start: pin.SE3,
         ends: float = math.inf,
+        relative: bool = False,
     ) -> None:
-        self._origin, self._start, self.ends = origin.copy(), start.copy(), ends
+        self._origin, self._start, self.ends, self.relative = origin.copy(), start.copy(), ends, relative
         self._screws, self._scalars = [np.array(S, float) for S in screws], list(scalars)
 
     def __call__(self, t: float) -> Sample:

@@ -117,15 +117,15 @@ def _loop(
 
 def _predicted_peak(simulator: Simulator, state: State, frame: str) -> float:
     """The closed form of the impact that begins at this tick [N]; not a number unless it is one point that touches."""
-    touch = simulator.impact(frame)
-    if touch is None:
+    impact = simulator.impact(frame)
+    if impact is None:
         return math.nan
     at = state.frame(frame)
-    row = at.T.rotation.T @ touch.normal @ at.J[3:]
+    row = at.T.rotation.T @ impact.normal @ at.J[3:]
     mass = 1.0 / float(row @ state.solve_M(row[:, None])[:, 0])  # [kg]
-    share = 1.0 / (1.0 / mass + touch.regularisation)
+    share = 1.0 / (1.0 / mass + impact.regularisation)
     speed = max(float(row @ state.v), 0.0)
-    return analytic.impact_peak(mass, share * touch.damping, share * touch.stiffness, speed)
+    return analytic.impact_peak(mass, share * impact.damping, share * impact.stiffness, speed)
 
 
 def _note_phase(log: Log, controller: Controller, t: float, out: Output) -> None:

@@ -215,7 +215,7 @@ class ForceTask:
         """The memory of a loop that begins: its first command is `lam` (k,), from which it moves to the target.
 
         The filter starts at the raw reading, and the integral makes up what the target and the error leave. Without a
-        reading, and on axes without an integral, the loop begins at its target.
+        reading or an integral gain the loop begins at its target.
         """
         held: Held = state.contacts[self.contact]
         measured, desired = state.measured.get(self.contact), self.desired(state)
@@ -228,8 +228,8 @@ class ForceTask:
         return ForceLoop(measured.copy(), self.integral_for(rest - self.Kp.dot(error)))
 
     def integral_for(self, part: Array) -> Array:
-        """What the integral must be for Ki int e to be this part of the command, on the axes that have one."""
-        return np.asarray(np.linalg.pinv(self.Ki) @ part)
+        """What the integral must be for Ki int e to be this part of the command; zero without an integral gain."""
+        return np.linalg.solve(self.Ki, part) if self.Ki.any() else np.zeros(part.size)
 
     def sense(self, state: State, desired: Array) -> tuple[Array | None, Array, Array | None, Array]:
         """Filtered wrench, integral, what limits took, error; without a sensor the loop is open (book 11.33)."""
