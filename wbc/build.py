@@ -23,15 +23,19 @@ from .faults import Faults, Place
 from .geometry import Geometry, components
 from .limit import JointLimit, TorqueLimit, make_limits
 from .metrics import vocabulary
+from .model import open_welds
 from .names import check_names, load_robot
 from .qp import Array
 from .robot import Robot
+from .sim import to_mujoco
 from .solver import Solver, make
 from .stability import Pole, damping_margin, force_poles
 from .task import ForceTask, MotionTask, Task
 from .tracking import Tracking, joint_values
 from .transition import STOP, Condition, Exit, Reading
 from .wrench import VELOCITY_AXES, WRENCH_AXES
+
+WELDED = 1e-6  # [m, rad] how well the start pose closes what the scene welds
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,7 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     entries: Mapping[str, specs.Phase | None] = spec.phases or {"": None}
     first = replace(geometry, spec=_active(spec, next(iter(entries.values()))))
     q = _close(q_home, first.goals(q_home, *first.at(q_home)), robot, faults)
+    _check_welds(robot, q, faults)
     followers = [*list(entries)[1:], ""]
     made = [
         _phase(geometry, name, entry, follower, q)
@@ -109,6 +114,16 @@ def _close(q: Array, goals: Sequence[Goal], robot: Robot, faults: Faults) -> Arr
             allowed = f"outside [{robot.q_min[i]:.3f}, {robot.q_max[i]:.3f}]"
             faults.add(("start",), f"{message}, {allowed}; choose another start or place")
     return start if faults.found else q
+
+
+def _check_welds(robot: Robot, q: Array, faults: Faults) -> None:
+    """What the scene welds to the robot is closed at the start: a weld does not pull the robot into place."""
+    if robot.mujoco is None or not robot.mujoco.neq or faults.found:
+        return
+    for first, second, gap in open_welds(robot.mujoco, to_mujoco(robot.mujoco, q)):
+        if not gap < WELDED:
+            message = f"it welds {first} to {second}, which are {gap:.2g} m or rad apart at the start pose"
+            faults.add(("scene",), f"{message}; expected a contact that closes one onto the other (`on:`)")
 
 
 def _check_followed(geometry: Geometry) -> list[str]:
@@ -234,6 +249,8 @@ def _stability(
             advice = "lower it on the axes of small inertia, or raise the rate"
             faults.add(("tasks", name, "damping"), f"damping is unstable at this rate: {bound}; {advice}")
             continue
+        if not (Kp.any() or Ki.any()):
+            continue  # an open loop has no poles of its own
         found = force_poles(task.contact, contact.axes, masses, Kp, Ki, D, alpha, dt, delay)
         poles += found
         worst = max(found, key=lambda pole: pole.radius, default=None)

@@ -1,6 +1,7 @@
 """The vocabulary of measured quantities: what `expect` bounds and `summary.json` reports, all true, every tick.
 
     CONTACT.AXIS.rms_error, .max_error, .mean      wrench of the robot on the environment against its target [N, N m]
+        of screws and matrices also along the wrench axes mx ... fz, of what the constraint causes: A' lambda
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
     CONTACT.peak, .pull                            largest force along its target, and against it, at any time [N]
     CONTACT.impact_error                           of the predicted peak of a touch, as a share of the true one [1]
@@ -14,6 +15,7 @@
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
     TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
+    TASK.SCREW.rms_error, .max_error               distance along a free screw of the contact [rad; m of a slide]
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
     joint.max_excess                               position beyond its limit [rad]
@@ -36,6 +38,7 @@ from .contact import Contact
 from .log import Log
 from .qp import Array
 from .task import ForceTask, MotionTask
+from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 SLIDING = 0.01  # [m/s] from which the direction of friction is judged
 ALWAYS = (
@@ -52,7 +55,7 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
             if isinstance(task, ForceTask):
                 names += [
                     f"{task.contact}.{axis}.{figure}"
-                    for axis in task.axes
+                    for axis in (*task.axes, *(WRENCH_AXES if task.wrench else ()))
                     for figure in ("rms_error", "max_error", "mean")
                 ]
                 names += [f"{task.contact}.{figure}" for figure in ("peak", "pull", "impact_error")]
@@ -61,6 +64,9 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
         for name, task in phase.tasks.items():
             if isinstance(task, MotionTask):
                 names += [f"{name}.{figure}" for figure in _MOTION]
+                names += [
+                    f"{name}.{screw}.{figure}" for screw in _screws(task) for figure in ("rms_error", "max_error")
+                ]
     return sorted(set(names))
 
 
@@ -68,6 +74,11 @@ _MOTION = (
     "position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max", "overshoot",
 )  # fmt: skip
 IMPACT = 0.02  # [s] after a touch in which its force is at its peak
+
+
+def _screws(task: MotionTask) -> tuple[str, ...]:
+    """Names of the free screws that a task moves along; the axes of a frame are in the figures of its pose."""
+    return () if task.contact is None or set(task.axes) <= set(VELOCITY_AXES) else task.axes
 
 
 def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
@@ -79,10 +90,13 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         if f"{name}.target" not in log:
             continue  # never active
         late = _late(log, [task.contact in map(_pressed, phase.tasks.values()) for phase in phases], settle)
-        lam, target = log[f"{name}.lam"], log[f"{name}.target"]
-        for i, axis in enumerate(task.axes):
-            out |= _errors(f"{name}.{axis}", (lam - target)[late, i])
-            out[f"{name}.{axis}.mean"] = float(lam[late, i].mean()) if late.any() else math.nan
+        pairs = [("lam", "target", task.axes)]
+        pairs += [("carried", "wanted", WRENCH_AXES)] if task.wrench else []  # where both have names, this
+        for got, wanted, axes in pairs:
+            value, target = log[f"{name}.{got}"], log[f"{name}.{wanted}"]
+            for i, axis in enumerate(axes):
+                out |= _errors(f"{name}.{axis}", (value - target)[late, i])
+                out[f"{name}.{axis}.mean"] = float(value[late, i].mean()) if late.any() else math.nan
         out |= _peaks(log, name, [i for i, axis in enumerate(task.axes) if axis[0] == "f" or axis == "normal"])
     for name in [name for name, task in tasks.items() if isinstance(task, MotionTask)]:
         if f"{name}.error" not in log:
@@ -92,6 +106,8 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         error, speed = log[f"{name}.error"][late], log[f"{name}.speed"]
         out |= _errors(f"{name}.position", np.linalg.norm(error[:, 3:], axis=1))
         out |= _errors(f"{name}.rotation", np.linalg.norm(error[:, :3], axis=1))
+        for i, screw in enumerate(_screws(tasks[name])):
+            out |= _errors(f"{name}.{screw}", log[f"{name}.along"][late][:, i])
         out[f"{name}.speed.max"] = float(speed[late].max()) if late.any() else math.nan
         beyond = (speed - log[f"{name}.desired_speed"])[always]
         out[f"{name}.overshoot"] = float(max(0.0, beyond.max())) if always.any() else math.nan

@@ -10,9 +10,10 @@ from __future__ import annotations
 import importlib.metadata
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -60,33 +61,75 @@ def _example_robot(name: str) -> Path:
     raise ModelError(f"example-robot-data has no robot {name!r}{did_you_mean(name, files)}")
 
 
-def compose(
-    robot: str | Path, tool: str | None = None, scene: str | None = None
-) -> tuple[mujoco.MjSpec, dict[str, Array]]:
-    """One specification of robot, tool and scene, and the robot's keyframes (name -> qpos in MuJoCo's order).
+class Composition(NamedTuple):
+    """One specification of robot, tool and scene; the robot's keyframes; the joints that are not the robot's."""
+
+    spec: mujoco.MjSpec
+    keys: dict[str, Array]  # name -> qpos in MuJoCo's order
+    passive: tuple[str, ...]  # the scene's joints and the tool's without an actuator: a hinge, a wheel
+
+
+def compose(robot: str | Path, tool: str | None = None, scene: str | None = None) -> Composition:
+    """Robot, tool and scene put together.
 
     The scene is the parent, so that its options hold; the robot stands at the world's origin or at the scene's site
-    `robot`; the tool hangs on the robot's site `flange`. Position servos become motors.
+    `robot`; the tool hangs on the robot's site `flange`. Position servos become motors. Equalities of the scene that
+    name a site which is not there (of another tool) are left out.
     """
     arm = _read(find("scenes/robots", str(robot)))
     keys = {key.name: np.array(key.qpos, float) for key in arm.keys}
     for key in list(arm.keys):
         arm.delete(key)
     _torque_motors(arm)
+    passive: list[str] = []
     with _composing():
         if tool:
             if arm.site("flange") is None:
                 raise ModelError(f"robot {str(robot)!r} has no site 'flange' to carry the tool {tool!r}")
-            arm.attach(_read(find("scenes/tools", tool)), prefix="", site="flange")
+            hand = _read(find("scenes/tools", tool))
+            driven = {actuator.target for actuator in hand.actuators}
+            passive += _named(joint for joint in hand.joints if joint.name not in driven)
+            arm.attach(hand, prefix="", site="flange")
         if not scene:
             arm.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-            return arm, keys
+            return Composition(arm, keys, tuple(passive))
         world = _read(find("scenes", scene))
+        passive += _named(world.joints)
         mount = world.site("robot")
         place = {"site": mount} if mount is not None else {"frame": world.worldbody.add_frame()}
         world.attach(arm, prefix="", **place)
+        for equality in list(world.equalities):
+            ends = (equality.name1, equality.name2)
+            if equality.objtype == mujoco.mjtObj.mjOBJ_SITE and any(world.site(end) is None for end in ends):
+                world.delete(equality)
         material.add_pairs(world)
-        return world, keys
+        return Composition(world, keys, tuple(passive))
+
+
+def _named(joints: Iterable[Any]) -> list[str]:
+    """Names of joints; one without a name is called after its body."""
+    names = []
+    for joint in joints:
+        joint.name = joint.name or f"{joint.parent.name or 'body'}_joint"
+        names.append(joint.name)
+    return names
+
+
+def lock(composition: Composition) -> mujoco.MjSpec:
+    """The specification without the joints that are not the robot's: their bodies stay where they are at rest.
+
+    What drives, senses or couples these joints goes with them.
+    """
+    spec, gone = composition.spec, set(composition.passive)
+    for element in [*spec.actuators, *spec.equalities, *spec.sensors]:
+        kind = type(element).__name__
+        ends = {getattr(element, key, None) for key in ("target", "name1", "name2", "objname")}
+        of_joint = kind == "MjsActuator" or element.objtype in (mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_UNKNOWN)
+        if of_joint and ends & gone:
+            spec.delete(element)
+    for name in composition.passive:
+        spec.delete(spec.joint(name))
+    return spec
 
 
 @contextmanager
@@ -270,6 +313,23 @@ def to_pinocchio(model: mujoco.MjModel, qpos: Array, qvel: Array) -> tuple[Array
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
             v[dof : dof + 3] = _pose(np.zeros(3), qpos[at : at + 4]).rotation.T @ qvel[dof : dof + 3]
     return q, v
+
+
+def open_welds(model: mujoco.MjModel, qpos: Array) -> list[tuple[str, str, float]]:
+    """Of every weld or connection of two sites, their names and how far they are apart at `qpos` [m, rad]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    found = []
+    for i in np.flatnonzero((model.eq_objtype == mujoco.mjtObj.mjOBJ_SITE) & model.eq_active0):
+        sites = model.eq_obj1id[i], model.eq_obj2id[i]
+        first, second = (pin.SE3(data.site_xmat[s].reshape(3, 3), data.site_xpos[s]) for s in sites)
+        apart = first.actInv(second)
+        turn = 0.0 if model.eq_type[i] == mujoco.mjtEq.mjEQ_CONNECT else np.linalg.norm(pin.log3(apart.rotation))
+        gap = float(max(np.linalg.norm(apart.translation), turn))
+        one, other = (_name(model, mujoco.mjtObj.mjOBJ_SITE, site) for site in sites)
+        found.append((one, other, gap))
+    return found
 
 
 def disagreement(model: mujoco.MjModel, other: pin.Model, states: int = 4, seed: int = 0) -> dict[str, float]:

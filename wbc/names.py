@@ -87,6 +87,8 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
             names.frame(task.frame, ("tasks", name, "frame"), moves=True)
         if isinstance(task, specs.PostureTask):
             names.pose(task.target, ("tasks", name, "target"), "start")
+    if spec.plant.payload_at is not None:
+        names.frame(spec.plant.payload_at, ("plant", "payload_at"), moves=True)
     if spec.start is not None:
         names.pose(spec.start, ("start",))
     for limit in ("torque", "torque_rate", "velocity"):

@@ -131,7 +131,8 @@ class Robot:
     keyframes: dict[str, Array] = field(default_factory=dict)
     gravity: str = "controller"
     damping: Array | None = None  # (nv,) [N m s/rad]
-    mujoco: Any = None  # the compiled MjModel, where there is one
+    mujoco: Any = None  # the compiled MjModel of the robot's own joints, where there is one
+    plant: Any = None  # the same with the joints of the scene and the tool's passive ones, for the simulator alone
     model_error: float = 0.0  # worst disagreement of MuJoCo and Pinocchio at load
     has_scene: bool = False
     _ids: dict[str, int] = field(default_factory=dict, init=False, repr=False)
@@ -151,13 +152,15 @@ class Robot:
 
         Raises ModelError for files that cannot be used, ModelMismatch when MuJoCo and Pinocchio disagree.
         """
-        spec, keys = models.compose(robot, tool, scene)
-        mj = models.compile_model(spec)
+        composed = models.compose(robot, tool, scene)
+        plant = mj = models.compile_model(composed.spec)
+        if composed.passive:
+            mj = models.compile_model(models.lock(composed))
         model = models.pinocchio_model(mj)
         error = models.require_agreement(mj, model)
         low, high = models.torque_limits(mj)
         q_min, q_max = _position_limits(mj)
-        keyframes = {"home": mj.qpos0} | {name: qpos for name, qpos in keys.items() if qpos.size == mj.nq}
+        keyframes = {"home": mj.qpos0} | {name: qpos for name, qpos in composed.keys.items() if qpos.size == mj.nq}
         damping = np.array([np.ravel(d)[0] for d in mj.dof_damping]) if mj.nv else np.zeros(0)
         return cls(
             name=name or str(robot),
@@ -172,6 +175,7 @@ class Robot:
             gravity=gravity,
             damping=damping if damping.any() else None,
             mujoco=mj,
+            plant=plant,
             model_error=error,
             has_scene=scene is not None,
         )

@@ -150,9 +150,10 @@ def _row(controller: Controller, seen: Observation, out: Output, took: float) ->
     for name, task in phase.tasks.items():
         if isinstance(task, ForceTask):
             row[f"{task.contact}.target"] = task.desired(state)
+            row[f"{task.contact}.wanted"] = state.contacts[task.contact].A.T @ row[f"{task.contact}.target"]
         elif isinstance(task, MotionTask):
             frame, desired = state.frame(task.frame), task.desired(state)
-            row[f"{name}.error"] = task.error(state)
+            row |= {f"{name}.error": task.error(state), f"{name}.along": task.along(state)}
             row |= {f"{name}.position": frame.T.translation, f"{name}.desired": desired.T.translation}
             row[f"{name}.speed"] = np.linalg.norm(frame.V[3:])
             row[f"{name}.desired_speed"] = np.linalg.norm(desired.V[3:])
@@ -168,6 +169,7 @@ def _contact_rows(
         held = state.contacts.get(name)
         inverse = contact.pseudo_inverse(contact.A(state)) if held is None else held.inverse
         row |= {f"{name}.true": true[name].F, f"{name}.lam": inverse @ true[name].F}
+        row[f"{name}.carried"] = (contact.A(state) if held is None else held.A).T @ row[f"{name}.lam"]
         row |= {f"{name}.points": true[name].points, f"{name}.mu": true[name].mu}
         if held is not None and contact.pushes is not None:
             told = contact.pushes.told(contact, state, true[name].F)

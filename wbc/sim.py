@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import mujoco
@@ -11,7 +12,7 @@ import pinocchio as pin
 
 from . import material
 from .errors import ModelError, SimulationError
-from .model import quietly, to_pinocchio
+from .model import body_name, quietly, to_pinocchio
 from .qp import Array
 from .robot import Robot, State
 from .wrench import ForceSensor, Wrench
@@ -56,26 +57,31 @@ class Simulator:
         if robot.mujoco is None:
             raise ModelError("only a robot that was loaded from a file can be simulated")
         self.robot, self.dt = robot, dt
-        self.model: mujoco.MjModel = _changed(robot, plant)
+        # the robot's own coordinates among those of the scene and of passive joints of the tool
+        self._own_q, self._own_v = own_coordinates(robot)
+        self.model: mujoco.MjModel = _changed(robot, plant, self._own_v)
         self.substeps = max(1, round(dt / self.model.opt.timestep))
         self.model.opt.timestep = dt / self.substeps
         self.data = mujoco.MjData(self.model)
-        self.data.qpos[:] = to_mujoco(self.model, q)
+        self.data.qpos[self._own_q] = to_mujoco(robot.mujoco, q)
         self._noise = plant.noise if plant is not None else None
         self._rng = np.random.default_rng(seed)
         self._delayed: deque[Array] = deque(maxlen=(plant.delay if plant is not None else 0) + 1)
         self._sensor = ForceSensor(robot) if all(_has_sensor(self.model, name) for name in SENSORS) else None
-        self._gear = _actuators(self.model)
+        self._motors = _actuators(self.model, self._own_v)
         self._driver = robot.model.createData()
 
     def observe(self) -> Observation:
         """Kinematics at the present state, as the encoders see it."""
         mujoco.mj_step1(self.model, self.data)
-        q, v = to_pinocchio(self.model, self.data.qpos, self.data.qvel)
+        q, v = self._state()
         if self._noise is not None and (self._noise.position or self._noise.velocity):
             q = q + self._rng.normal(0.0, 1.0, q.size) * self._noise.position
             v = v + self._rng.normal(0.0, 1.0, v.size) * self._noise.velocity
         return Observation(self.data.time, q, v)
+
+    def _state(self) -> tuple[Array, Array]:
+        return to_pinocchio(self.robot.mujoco, self.data.qpos[self._own_q], self.data.qvel[self._own_v])
 
     def apply(self, tau: Array) -> None:
         """Send a torque (nv,) [N m], after the plant's delay, and go on to the next tick.
@@ -83,13 +89,13 @@ class Simulator:
         A robot whose driver adds gravity does so here, from its nominal model.
         """
         if self.robot.gravity == "robot":
-            q, _ = to_pinocchio(self.model, self.data.qpos, self.data.qvel)
-            tau = tau + pin.computeGeneralizedGravity(self.robot.model, self._driver, q)
+            tau = tau + pin.computeGeneralizedGravity(self.robot.model, self._driver, self._state()[0])
         self._delayed.append(tau)
         for step in range(self.substeps):
             if step:
                 mujoco.mj_step1(self.model, self.data)
-            self.data.ctrl[:] = self._delayed[0][self._gear[0]] / self._gear[1]
+            motors, dofs, gear = self._motors
+            self.data.ctrl[motors] = self._delayed[0][dofs] / gear
             mujoco.mj_step2(self.model, self.data)
         grown = [w for w in range(len(self.data.warning)) if self.data.warning[w].number]
         if grown or not np.isfinite(self.data.qacc).all():
@@ -130,7 +136,11 @@ class Simulator:
         return int(self.model.site(frame).bodyid[0] if _has_site(self.model, frame) else self.model.body(frame).id)
 
     def true_wrench(self, frame: str) -> Array:
-        """(6,) what the body of `frame` applied to its environment in the last tick, in that frame; unfiltered."""
+        """(6,) what the body of `frame` applied to its environment in the last tick, in that frame; unfiltered.
+
+        The body is all that moves as one with the frame, with the passive parts of a tool; its environment touches it
+        or is welded to it.
+        """
         return self.true_touch(frame).F
 
     def true_touch(self, frame: str) -> Touch:
@@ -142,21 +152,57 @@ class Simulator:
         else:
             R, p = self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
         F, force, points, mu = np.zeros(6), np.zeros(6), 0, 0.0
+        rigid = self.robot.mujoco.body_weldid
         for i in range(self.data.ncon):
             contact = self.data.contact[i]
-            owners = [self.model.geom_bodyid[g] for g in contact.geom]
-            if (owners[0] == body) == (owners[1] == body):
+            inside = [rigid[self.model.geom_bodyid[g]] == rigid[body] for g in contact.geom]
+            if inside[0] == inside[1]:
                 continue
             mujoco.mj_contactForce(self.model, self.data, i, force)
             if force[0] > 0.0:
                 points, mu = points + 1, max(mu, float(contact.friction[0]) if contact.dim > 1 else 0.0)
             # the contact frame's force acts on the second geom
-            sign = 1.0 if owners[0] == body else -1.0
+            sign = 1.0 if inside[0] else -1.0
             axes = contact.frame.reshape(3, 3)
             f, m = sign * (axes.T @ force[:3]), sign * (axes.T @ force[3:])
             F[:3] += R.T @ (m + np.cross(contact.pos - p, f))
             F[3:] += R.T @ f
+        for at, m, f, bodies in self._equalities():
+            inside = [rigid[b] == rigid[body] for b in bodies]
+            if inside[0] != inside[1]:
+                sign = 1.0 if inside[1] else -1.0
+                F[:3] += sign * (R.T @ (m + np.cross(at - p, f)))
+                F[3:] += sign * (R.T @ f)
         return Touch(F, points, mu)
+
+    def _equalities(self) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """Of every weld and connection of two sites: its place, moment and force on the body of the first site, in the
+        world's axes, and both bodies.
+
+        The rows of a weld are s vec(q_2^* q_1), whose rate is s/2 vec(q_2^* w q_1) for a relative angular velocity w:
+        the moment follows from the multipliers by the transpose.
+        """
+        model, data = self.model, self.data
+        if not model.neq or not data.ne:
+            return
+        rows = np.flatnonzero(data.efc_type[: data.ne] == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        for i in np.flatnonzero(model.eq_objtype == mujoco.mjtObj.mjOBJ_SITE):
+            own = rows[data.efc_id[rows] == i]
+            if not own.size:
+                continue
+            sites = model.eq_obj1id[i], model.eq_obj2id[i]
+            m, f = np.zeros(3), data.efc_force[own[:3]].copy()
+            if model.eq_type[i] == mujoco.mjtEq.mjEQ_WELD:
+                q = np.empty((2, 4))
+                for k, site in enumerate(sites):
+                    # not from the rotation matrix: the sign of the quaternion counts
+                    mujoco.mju_mulQuat(q[k], data.xquat[model.site_bodyid[site]], model.site_quat[site])
+                back, turn, product = q[1] * (1, -1, -1, -1), np.empty(4), np.empty(4)
+                for k in range(3):
+                    mujoco.mju_mulQuatAxis(turn, back, np.eye(3)[k])
+                    mujoco.mju_mulQuat(product, turn, q[0])
+                    m[k] = 0.5 * model.eq_data[i, 10] * product[1:] @ data.efc_force[own[3:]]
+            yield data.site_xpos[sites[0]], m, f, model.site_bodyid[list(sites)]
 
 
 def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:
@@ -168,20 +214,37 @@ def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:
     return qpos
 
 
-def _changed(robot: Robot, plant: Any) -> mujoco.MjModel:
-    """A copy of the model with the plant's errors."""
+def own_coordinates(robot: Robot) -> tuple[Array, Array]:
+    """Where the robot's qpos (nq,) and qvel (nv,) stand among those of the plant, whose other joints are passive."""
+    ours, plant = robot.mujoco, robot.plant or robot.mujoco
+    if plant.njnt == ours.njnt:
+        return np.arange(ours.nq), np.arange(ours.nv)
+    q: list[int] = []
+    v: list[int] = []
+    for joint in range(ours.njnt):
+        there = plant.joint(ours.joint(joint).name)
+        q += range(there.qposadr[0], there.qposadr[0] + ours.joint(joint).qpos0.size)
+        v += range(there.dofadr[0], there.dofadr[0] + ours.joint(joint).damping.shape[0])
+    return np.array(q), np.array(v)
+
+
+def _changed(robot: Robot, plant: Any, own: Array) -> mujoco.MjModel:
+    """A copy of the model with the plant's errors, which are those of the robot with its tool."""
     import copy
 
-    model = copy.copy(robot.mujoco)
+    model = copy.copy(robot.plant or robot.mujoco)
     if plant is None:
         return model
-    model.body_mass[:] *= 1.0 + plant.mass_error
-    model.body_inertia[:] *= 1.0 + plant.mass_error
+    tree = robot.mujoco.body_rootid
+    links = np.isin(tree, tree[robot.mujoco.body_weldid > 0])
+    model.body_mass[links] *= 1.0 + plant.mass_error
+    model.body_inertia[links] *= 1.0 + plant.mass_error
     if plant.payload:
-        model.body_mass[_last_body(model)] += plant.payload
-    model.dof_frictionloss[:] += plant.joint_friction
+        at = plant.payload_at
+        model.body_mass[carrier(robot, at)[0] if at is not None else _last_body(robot.mujoco)] += plant.payload
+    model.dof_frictionloss[own] += plant.joint_friction
     if plant.armature is not None:
-        model.dof_armature[:] = plant.armature
+        model.dof_armature[own] = plant.armature
     if plant.contact_friction:
         touching = (model.geom_contype | model.geom_conaffinity) > 0
         model.geom_friction[touching, 0] = plant.contact_friction
@@ -190,6 +253,20 @@ def _changed(robot: Robot, plant: Any) -> mujoco.MjModel:
     with quietly():
         mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
+
+
+def carrier(robot: Robot, name: str) -> tuple[int, pin.SE3]:
+    """MuJoCo's body that carries a frame, and the frame's place on it; of a joint's frame, a body that moves alike."""
+    mj = robot.mujoco
+    site = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_SITE, name.removeprefix("site:"))
+    named = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_BODY, name)
+    bodies = [named] if named >= 0 else [int(mj.site_bodyid[site])] if site >= 0 else range(1, mj.nbody)
+    frame = robot.model.frames[robot.frame_id(name)]
+    for body in bodies:
+        own = robot.model.frames[robot.frame_id(body_name(mj, body))]
+        if own.parentJoint == frame.parentJoint:
+            return body, own.placement.actInv(frame.placement)
+    return 0, frame.placement
 
 
 def _last_body(model: mujoco.MjModel) -> int:
@@ -207,7 +284,9 @@ def _has_sensor(model: mujoco.MjModel, name: str) -> bool:
     return bool(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0)
 
 
-def _actuators(model: mujoco.MjModel) -> tuple[Array, Array]:
-    """For every motor, its velocity's number and gear."""
-    dofs = np.array([model.jnt_dofadr[j] for j in model.actuator_trnid[:, 0]], dtype=int)
-    return dofs, model.actuator_gear[:, 0] * model.actuator_gainprm[:, 0]
+def _actuators(model: mujoco.MjModel, own: Array) -> tuple[Any, Any, Array]:
+    """The motors of the robot's own joints, for each its velocity's number among the robot's, and its gear."""
+    dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+    motors = np.flatnonzero(np.isin(dofs, own))
+    gear = model.actuator_gear[motors, 0] * model.actuator_gainprm[motors, 0]
+    return motors, np.array([int(np.flatnonzero(own == dof)[0]) for dof in dofs[motors]], dtype=int), gear

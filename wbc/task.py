@@ -96,11 +96,18 @@ class MotionTask:
         start = state.starts.get(self)
         return self.reference(state.t) if start is None else start.sample(self.reference, state.t)
 
-    def error(self, state: State) -> Array:
-        """(6,) X_e, with [X_e] = log(T^-1 T_d), on the task's axes alone [rad, m]."""
-        select = self.selection if self.contact is None else state.contacts[self.contact].free
+    def along(self, state: State) -> Array:
+        """(s,) X_e, with [X_e] = log(T^-1 T_d), along the rows that pick the task's axes [rad, m]."""
         X_e = pin.log6(state.frame(self.frame).T.actInv(self.desired(state).T)).vector[_ORDER]
-        return np.asarray(np.linalg.pinv(select) @ (select @ X_e))
+        return np.asarray(self._select(state) @ X_e, float)
+
+    def error(self, state: State) -> Array:
+        """(6,) X_e on the task's axes alone [rad, m]."""
+        return np.asarray(np.linalg.pinv(self._select(state)) @ self.along(state), float)
+
+    def _select(self, state: State) -> Array:
+        rows: Array = self.selection if self.contact is None else state.contacts[self.contact].free
+        return rows
 
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (s, nv) and (s,)."""
@@ -229,7 +236,7 @@ class ForceTask:
 
     def integral_for(self, part: Array) -> Array:
         """What the integral must be for Ki int e to be this part of the command; zero without an integral gain."""
-        return np.linalg.solve(self.Ki, part) if self.Ki.any() else np.zeros(part.size)
+        return np.asarray(np.linalg.solve(self.Ki, part), float) if self.Ki.any() else np.zeros(part.size)
 
     def sense(self, state: State, desired: Array) -> tuple[Array | None, Array, Array | None, Array]:
         """Filtered wrench, integral, what limits took, error; without a sensor the loop is open (book 11.33)."""

@@ -14,17 +14,16 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 
 from .build import Built, build
 from .controller import Controller, Memory, Phase, Status
 from .limit import TorqueLimit
-from .model import body_name, point_jacobian
+from .model import point_jacobian
 from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
 from .qp import Array
-from .robot import Robot, State
+from .robot import State
 from .run import run
-from .sim import to_mujoco
+from .sim import carrier, to_mujoco
 from .solver import Solver
 from .spec import Spec
 from .task import ForceLoop
@@ -167,7 +166,12 @@ class Oracle:
             if np.linalg.cond(J @ np.linalg.solve(state.M, J.T)) > MAX_COND:
                 return False
         held = [contact.A(state) @ state.frame(contact.frame).J for contact in phase.contacts.values() if contact.k]
-        return not held or bool(np.linalg.cond(np.concatenate(held)) <= MAX_COND_AJ)
+        if not held:
+            return True
+        G = np.concatenate(held)
+        if len(G) == 6 and not motion_tasks(phase):  # held in all directions: what counts is the whole task frame
+            return bool(np.linalg.cond(G @ np.linalg.solve(state.M, G.T)) <= MAX_COND)
+        return bool(np.linalg.cond(G) <= MAX_COND_AJ)
 
     # --- the closed form ---
 
@@ -219,7 +223,7 @@ class Oracle:
                 body = model.site_bodyid[site]
                 T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
             else:
-                body, X = _carrier(self.built.robot, name)
+                body, X = carrier(self.built.robot, name)
                 T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
                 T = T @ X.homogeneous
             J, drift = point_jacobian(model, data, body, T[:3, :3], T[:3, 3].copy())
@@ -231,16 +235,6 @@ class Oracle:
 def _pinocchio(state: State, name: str) -> Dynamics:
     frame = state.frame(name)
     return Dynamics(state.M, state.h, frame.J, frame.drift, frame.V, frame.T.homogeneous)
-
-
-def _carrier(robot: Robot, name: str) -> tuple[int, pin.SE3]:
-    """MuJoCo's body that carries a frame that is no site (a body's or joint's), and the frame's place on it."""
-    frame = robot.model.frames[robot.frame_id(name)]
-    for body in range(1, robot.mujoco.nbody):
-        carrier = robot.model.frames[robot.frame_id(body_name(robot.mujoco, body))]
-        if carrier.parentJoint == frame.parentJoint:
-            return body, carrier.placement.actInv(frame.placement)
-    return 0, frame.placement
 
 
 def _unlimited(phase: Phase) -> Phase:

@@ -38,6 +38,7 @@ from .force import (
     project_wrench,
     require_wrench,
     terminal_velocity,
+    unmodelled_bias,
     wrench_residual,
 )
 from .friction import (
@@ -143,5 +144,6 @@ __all__ = [
     "task_inertia",
     "terminal_velocity",
     "twist_error",
+    "unmodelled_bias",
     "wrench_residual",
 ]

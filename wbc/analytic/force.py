@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from wbc.errors import GainError, WrenchError
 
+from .dynamics import dynamically_consistent_inverse
 from .se3 import Array
 
 
@@ -51,6 +52,15 @@ def force_command(
 def force_torque(J: Array, g: Array, F: Array) -> Array:
     """tau = g + J' F (n,) [N m]: pure force control, open loop with F = F_d, PI control with F of `force_command`."""
     return np.asarray(g + J.T @ F)
+
+
+def unmodelled_bias(M: Array, J: Array, dg: Array) -> Array:
+    """-Jbar' dg (r,) [N m, N], Jbar' = M_C J M^-1: what gravity that the model does not know adds to F_tip.
+
+    A held hand under tau = g + J' F_d obeys M vdot + g + dg + J' F_tip = tau with J vdot = 0, hence
+    J M^-1 J' (F_d - F_tip) = J M^-1 dg. A load of weight w = (m, f) at the task frame has dg = -J' w: F_tip = F_d + w.
+    """
+    return -dynamically_consistent_inverse(M, J).T @ dg
 
 
 def force_error_matrix(Kp: ArrayLike, Ki: ArrayLike) -> Array:

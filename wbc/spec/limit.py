@@ -61,12 +61,19 @@ class Plant(Model):
     """What only the simulator knows."""
 
     payload: NonNegative = Field(default=0.0, description="mass added at the tool [kg]")
+    payload_at: Text | None = Field(
+        default=None, description="frame whose body carries the payload in its centre of mass; else the tool's"
+    )
     mass_error: Number = Field(default=0.0, gt=-0.5, lt=1, description="fraction added to every link's mass [1]")
     joint_friction: NonNegative = Field(default=0.0, description="Coulomb friction of every joint [N m]")
     contact_friction: NonNegative = Field(default=0.0, description="friction coefficient of the contacts [1]")
     armature: NonNegative | None = Field(default=None, description="rotor inertia; else the model's [kg m^2]")
     delay: Annotated[int, Strict()] = Field(default=0, ge=0, le=100, description="extra delay of the torque [ticks]")
     noise: Noise = Field(default_factory=Noise, description="measurement noise, standard deviations")
+
+    def _faults(self) -> Iterable[Message]:
+        if self.payload_at is not None and not self.payload:
+            yield ("payload_at",), "there is no payload; expected a mass in payload, or no payload_at"
 
 
 class Bound(Model):
