@@ -12,6 +12,7 @@ from wbc import analytic
 from wbc.build import build
 from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
 from wbc.controller import Controller, Memory, Status
+from wbc.dynamics import reaction
 from wbc.errors import SpecError, WrenchError
 from wbc.friction import unilateral
 from wbc.oracle import Dynamics, closed_form, relative
@@ -139,7 +140,7 @@ def controller(robot, contact, rng, law="compensated", solver="daqp"):
     home = robot.state(robot.keyframes["home"], np.zeros(robot.nv)).frame("eraser").T
     path = Path(home, {3: sine(0.1, 2), 4: sine(0.05, 1)})
     if contact.pushes is not None:
-        contact.pushes.guide = path
+        contact.pushes.guide = lambda state: path(state.t)
     tasks = {
         "press": (ForceTask("board", contact, lam, 0.3, 10.0, 50.0, 50.0, law=law), float(10 ** rng.uniform(-2, 2))),
         "draw": MotionTask("eraser", path, 100.0, 20.0, contact.free_axes, "board", law, robot.axes("eraser")),
@@ -385,3 +386,14 @@ def test_screws_push_along_the_axes_of_their_frame(panda, draw):
     held = contact.hold(draw(panda))
     lam = np.array([1.0, -2.0, 3.0])
     np.testing.assert_allclose(held.cone.rows @ lam, [-(held.A.T @ lam)[5]], atol=1e-12)
+
+
+def test_the_first_multiplier_of_a_contact_that_drags_is_that_of_the_plant(panda, draw, rng):
+    """A torque is answered by B lambda: what the controller takes over from the last torque knows the drag."""
+    contact, state = pushing(AxesContact("eraser", ("wx", "wy", "vz")), panda, "modelled", mu=0.3), draw(panda)
+    held = state.contacts["board"] = contact.hold(state)
+    tau = 10 * rng.normal(size=7)
+    J, n = state.frame("eraser").J, 7
+    KKT = np.block([[state.M, J.T @ held.B.T], [held.A @ J, np.zeros((3, 3))]])
+    lam = np.linalg.solve(KKT, np.r_[tau - state.h, held.rhs])[n:]
+    np.testing.assert_allclose(reaction(state, tau)["board"], lam, atol=1e-9)

@@ -64,7 +64,10 @@ class Tracking:
         else:
             axes = tuple(VELOCITY_AXES[i] for i in able) if entry.axes == "all" else entry.axes
         kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
-        return MotionTask(frame, self.references[name], kp, kd, axes, entry.contact, self.geometry.spec.law, able)
+        task = MotionTask(frame, self.references[name], kp, kd, axes, entry.contact, self.geometry.spec.law, able)
+        if entry.contact is not None and (pushes := self.contacts[entry.contact].pushes) is not None:
+            pushes.guide = task.desired
+        return task
 
     def _force(self, name: str, entry: specs.ForceTask) -> ForceTask | None:
         contact = self.contacts[entry.contact]
