@@ -11,6 +11,26 @@ SPECS: dict[str, dict[str, float]] = {
         "draw.position.rms_error": 8e-5,  # [m]
     },
     "chalk": {"board.fz.rms_error": 0.005, "draw.position.rms_error": 8e-5},
+    "chalk_slide": {
+        "board.fz.rms_error": 0.05,
+        "draw.position.rms_error": 1.5e-4,
+        "board.lost": 0,
+        "board.friction.angle": 5.0,  # [deg] off the velocity
+        "board.friction.mu_error": 0.02,  # of |f_t|/f_n = 0.3
+    },
+    "chalk_stick": {  # at 95 % of the cone
+        "board.creep": 1e-5,  # [m/s]
+        "board.fx.max_error": 0.01,
+        "board.fy.max_error": 0.01,
+        "board.fz.max_error": 0.01,
+    },
+    "eraser_friction": {
+        "board.fz.rms_error": 0.05,
+        "board.mx.rms_error": 2e-3,
+        "board.my.rms_error": 2e-3,
+        "draw.position.rms_error": 1e-4,
+        "board.tilt": 0.05,  # [deg]
+    },
     "chalk_liftoff": {
         "board.fz.rms_error": 0.005,
         "draw.position.rms_error": 8e-5,
@@ -74,6 +94,11 @@ FORCE_EDGE = (0.97, 1.05)
 # of this kind of machine; measured by benchmarks/tick.py, never asserted in a timed test
 TICK_MEDIAN_US = 150.0
 HELP_SECONDS = 0.5
+
+# eraser_friction: corners in contact; with mu 20 % wrong in the model; without any compensation it must miss
+CORNERS = 4
+WRONG_MU = {"board.fz.rms_error": 0.1, "draw.position.rms_error": 1e-3}
+UNCOMPENSATED = 4e-3  # [m] at least
 
 # polish_sphere: Lam Adot V of the book's law against the force, its prediction, and what compensation leaves
 SPHERE_BIAS, SPHERE_PREDICTED, SPHERE_COMPENSATED = 0.10, 0.01, 1e-3

@@ -55,7 +55,7 @@ class Geometry:
                 contacts[name], paths[name] = self.made[key]
                 contacts[name].feedforward = entry.feedforward
             if name in contacts and entry.push is not None:
-                self._push(name, entry, entry.push, contacts[name], paths[name], q)
+                self._push(name, entry, entry.push, contacts[name], q)
         references: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
             if not isinstance(task, MOVING):
@@ -159,9 +159,7 @@ class Geometry:
         drawn = frozenset(VELOCITY_AXES.index(axis) for axis in free if self._drawn(entry.motion_targets.get(axis)))
         return contact, Path(origin, along, ends=self._ends(entry), placed=drawn)
 
-    def _push(
-        self, name: str, entry: specs.Contact, push: specs.Unilateral, contact: Contact, path: Reference, q: Array
-    ) -> None:
+    def _push(self, name: str, entry: specs.Contact, push: specs.Unilateral, contact: Contact, q: Array) -> None:
         """Where the world only pushes; what friction does there stands in the keys that are at fault."""
         d = (-1.0 if push.along.startswith("-") else 1.0) * np.eye(3)["xyz".index(push.along[-1])]
         state, friction = self.robot.state(q, np.zeros(self.robot.nv)), entry.coulomb
@@ -173,7 +171,7 @@ class Geometry:
                 contact.pushes = unilateral(contact, state, d, push.least, place=place)
             else:
                 mu, faces, slip = friction.mu, friction.faces, friction.slip
-                contact.pushes = unilateral(contact, state, d, push.least, mu, faces, slip, path, place)
+                contact.pushes = unilateral(contact, state, d, push.least, mu, faces, slip, None, place)
 
     def _sphere(
         self, name: str, entry: specs.Contact, radius: float, origin: pin.SE3, on: str | None

@@ -170,7 +170,7 @@ def _of_push(contact: Contact) -> tuple[str, ...]:
 
 def _push(log: Log, name: str, contact: Contact, late: NDArray[np.bool_]) -> dict[str, float]:
     points = log[f"{name}.points"]
-    touched = np.maximum.accumulate(points > 0) & late
+    touched = np.maximum.accumulate(points > 0) & late & np.isfinite(points)  # not a number: not this phase's contact
     out = {f"{name}.corners": float(points[touched].min()) if touched.any() else math.nan}
     wanted = _of_push(contact)
     if "tilt" in wanted:

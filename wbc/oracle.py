@@ -130,7 +130,7 @@ def _sliding_map(contact: Contact, state: State, A: Array, dynamics: Dynamics) -
     d, slides = _across(contact, state)
     v_d = np.zeros(3)
     if pushes.guide is not None:
-        desired = pushes.guide(state.t)
+        desired = pushes.guide(state)
         v_d = dynamics.T[:3, :3].T @ desired.T.rotation @ desired.V[3:]
     u = analytic.sliding_direction(slides @ dynamics.V[3:], slides @ v_d, pushes.slip)
     return analytic.sliding_map(A, d, u @ slides, pushes.mu)

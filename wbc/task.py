@@ -258,6 +258,8 @@ class ForceTask:
         measured, desired = state.measured.get(self.contact), self.desired(state)
         if measured is None:
             return _NEW_LOOP
+        if held.cone is not None:
+            desired, _ = held.cone.cut(desired)
         rest = lam - desired
         error = desired - held.inverse.dot(measured)
         if self._book:

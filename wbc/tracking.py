@@ -65,7 +65,10 @@ class Tracking:
         frame, axes = self._place(entry)
         kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
         law, able = self.geometry.spec.law, self.geometry.robot.axes(frame)
-        return MotionTask(frame, self.references[name], kp, kd, axes, entry.contact, law, able, entry.error)
+        task = MotionTask(frame, self.references[name], kp, kd, axes, entry.contact, law, able, entry.error)
+        if entry.contact is not None and (pushes := self.contacts[entry.contact].pushes) is not None:
+            pushes.guide = task.desired
+        return task
 
     def _place(self, entry: specs.MotionTask | specs.ImpedanceTask | specs.AdmittanceTask) -> tuple[str, Axes]:
         """The frame of a task, and the axes or free motions along which it acts."""
