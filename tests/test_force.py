@@ -1,4 +1,4 @@
-"""Pure force control (book 11.5) in the simulator: bias of an unknown load, the sampled loop's pole, its limit, the door."""
+"""Pure force control (book 11.5) in the simulator: bias of a load, pole and limit of the sampled loop; the door."""
 
 from __future__ import annotations
 

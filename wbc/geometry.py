@@ -14,7 +14,7 @@ from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, WorldAxesContact
 from .faults import Faults, Place
 from .qp import Array
-from .reference import Path, Reference, Scalar, ScrewPath, constant, hold, quintic, ramp, sine
+from .reference import Path, Reference, Scalar, ScrewPath, arc, constant, hold, quintic, ramp, sine
 from .robot import Robot
 from .wrench import VELOCITY_AXES
 
@@ -51,7 +51,9 @@ class Geometry:
             assert task.frame is not None
             assert task.target is not None
             here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
-            references[name] = self._path(spec.references[task.target], task.target, here)
+            references[name] = self._path(
+                spec.references[task.target], task.target, here, ("tasks", name, "target")
+            )
             axes = VELOCITY_AXES if task.axes == "all" else task.axes
             self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
             self._check_axes(task.frame, () if task.axes == "all" else task.axes, ("tasks", name, "axes"))
@@ -116,11 +118,15 @@ class Geometry:
         contact: Contact = AxesContact(entry.frame, held, free)
         if entry.in_ == "on":
             contact = WorldAxesContact(entry.frame, held, origin.rotation, free)
-        along = {}
+        along: dict[int, Scalar] = {}
         for axis in free:
             component, path = VELOCITY_AXES.index(axis), ("contacts", name, "artificial", axis)
             target = entry.motion_targets.get(axis, 0.0)
             along[component] = self._scalar(target, component, path, on or "world")
+            if isinstance(target, str) and self.spec.references[target].kind == "arc":
+                # it moves across its heading as well, by turning: what a wheel cannot do, and need not
+                along = components(self.spec.references[target]) | along
+                self.followed[target].add(VELOCITY_AXES.index("vy"))
         return contact, Path(origin, along)
 
     def _check_table(self, name: str, entry: specs.Contact, able: Sequence[str]) -> None:
@@ -157,7 +163,7 @@ class Geometry:
         self.followed.setdefault(target, set()).add(axis)
         if reference.kind == "hold":
             return constant(0.0)
-        if on is not None and reference.curve.in_ != on:
+        if on is not None and reference.kind != "profile" and reference.curve.in_ != on:
             message = f"reference {target!r} is drawn in {reference.curve.in_!r}, but the contact closes on {on!r}"
             self.faults.add(path, f"{message}; expected `in: {on}` in the reference")
         return self._component(target, reference, axis, path)
@@ -170,9 +176,13 @@ class Geometry:
             self.faults.add(path, f"{message}; expected a number, for a {reference.kind} gives {gives} only")
         return known.get(axis, constant(0.0))
 
-    def _path(self, reference: specs.Reference, name: str, here: pin.SE3) -> Reference:
+    def _path(self, reference: specs.Reference, name: str, here: pin.SE3, path: Place) -> Reference:
         in_ = reference.curve.in_
         self.followed.setdefault(name, set())
+        if reference.kind == "profile":
+            message = f"reference {name!r} is a number; expected a motion: hold, line, circle, lissajous or quintic"
+            self.faults.add(path, message)
+            return hold(here)
         if _stays(reference):
             return hold(here)
         origin = pin.SE3.Identity() if in_ == "world" else self.robot.fixed_pose(in_)
@@ -199,6 +209,10 @@ def components(reference: specs.Reference) -> dict[int, Scalar]:
         order = (3, 4, 5, 0, 1, 2)
         used = 6 if any(len(p) == 6 for p in curve.waypoints) else 3
         return {order[i]: quintic(curve.times, [p[i] for p in points]) for i in range(used)}
+    if isinstance(curve, specs.Arc):
+        return arc(curve.radius, quintic(curve.times, curve.angles))
+    if isinstance(curve, specs.Profile):
+        return dict.fromkeys(range(6), quintic(curve.times, curve.values))  # whichever follows it
     return {}
 
 

@@ -2,6 +2,8 @@
 
     CONTACT.AXIS.rms_error, .max_error, .mean      wrench of the robot on the environment against its target [N, N m]
         of screws and matrices also along the wrench axes mx ... fz, of what the constraint causes: A' lambda
+    CONTACT.AXIS.slip                              how far the frame went along an axis that is held [m, rad]
+    CONTACT.AXIS.speed.max                         speed along an axis that is held, from the first tick [m/s, rad/s]
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
@@ -23,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from .contact import AxesContact, Contact
 from .log import Log
 from .qp import Array
 from .task import ForceTask, MotionTask
@@ -46,6 +49,8 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
                     for figure in ("rms_error", "max_error", "mean")
                 ]
         names += [f"{contact}.lost" for contact in phase.contacts]
+        for name, contact in phase.contacts.items():
+            names += [f"{name}.{axis}.{figure}" for axis in _held_axes(contact) for figure in ("slip", "speed.max")]
         for name, task in phase.tasks.items():
             if isinstance(task, MotionTask):
                 names += [f"{name}.{figure}" for figure in _MOTION]
@@ -56,6 +61,13 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
 
 
 _MOTION = ("position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max")
+
+
+def _held_axes(contact: Contact) -> tuple[str, ...]:
+    """Velocity axes that a contact holds, where these are its rows."""
+    if not isinstance(contact, AxesContact):
+        return ()
+    return tuple(VELOCITY_AXES[WRENCH_AXES.index(axis)] for axis in contact.axes)
 
 
 def _screws(task: MotionTask) -> tuple[str, ...]:
@@ -85,7 +97,11 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
                 for i, screw in enumerate(_screws(task)):
                     out |= _errors(f"{name}.{screw}", log[f"{name}.along"][late][:, i])
                 out[f"{name}.speed.max"] = float(log[f"{name}.speed"][late].max()) if late.any() else math.nan
-        for contact in phase.contacts:
+        for contact, held in phase.contacts.items():
+            for i, axis in enumerate(_held_axes(held)):
+                way = np.cumsum(log[f"{contact}.slip"][late][:, i]) * log.meta["dt"]
+                out[f"{contact}.{axis}.speed.max"] = float(np.nanmax(np.abs(log[f"{contact}.slip"][:, i])))
+                out[f"{contact}.{axis}.slip"] = float(np.abs(way).max(initial=0.0)) if late.any() else math.nan
             force = np.linalg.norm(log[f"{contact}.true"], axis=1) > 0.0
             touched = np.maximum.accumulate(force) & late
             out[f"{contact}.lost"] = float((touched & ~force).sum())

@@ -123,6 +123,7 @@ def _record(
         held = state.contacts[name]
         row |= {f"{name}.true": wrench, f"{name}.lam": held.inverse @ wrench}
         row[f"{name}.predicted"] = out.wrenches.get(name, np.full(6, np.nan))
+        row[f"{name}.slip"] = held.slip
         row[f"{name}.carried"] = held.A.T @ row[f"{name}.lam"]
         row[f"{name}.measured"] = state.measured.get(name, np.full(6, np.nan))
     for name, task in phase.tasks.items():

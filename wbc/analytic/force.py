@@ -58,7 +58,7 @@ def unmodelled_bias(M: Array, J: Array, dg: Array) -> Array:
     """-Jbar' dg (r,) [N m, N], Jbar' = M_C J M^-1: what gravity that the model does not know adds to F_tip.
 
     A held hand under tau = g + J' F_d obeys M vdot + g + dg + J' F_tip = tau with J vdot = 0, hence
-    J M^-1 J' (F_d - F_tip) = J M^-1 dg. A load that weighs w = (m, f) at the task frame has dg = -J' w: F_tip = F_d + w.
+    J M^-1 J' (F_d - F_tip) = J M^-1 dg. A load of weight w = (m, f) at the task frame has dg = -J' w: F_tip = F_d + w.
     """
     return -dynamically_consistent_inverse(M, J).T @ dg
 

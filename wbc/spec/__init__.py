@@ -13,10 +13,10 @@ from .contact import Contact, FreeMotion, Screw
 from .document import MAX_ENTRIES, Spec, json_schema, load
 from .fields import Model
 from .limit import Bound, Expect, Limits, Margin, Noise, Phase, Plant, Scale, Until
-from .reference import Circle, Curve, Hold, Line, Lissajous, Quintic, Reference
+from .reference import Arc, Circle, Curve, Hold, Line, Lissajous, Profile, Quintic, Reference
 from .task import ForceTask, MotionTask, PostureTask, Task
 
 __all__ = ["MAX_ENTRIES", "RECIPROCAL", "VELOCITY_AXES", "WRENCH_AXES", "Model", "Spec", "json_schema", "load"]
-__all__ += ["Circle", "Curve", "Hold", "Line", "Lissajous", "Quintic", "Reference"]
+__all__ += ["Arc", "Circle", "Curve", "Hold", "Line", "Lissajous", "Profile", "Quintic", "Reference"]
 __all__ += ["Contact", "ForceTask", "FreeMotion", "MotionTask", "PostureTask", "Screw", "Task"]
 __all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until"]
