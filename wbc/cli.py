@@ -287,7 +287,8 @@ def _tell_check(report: Any) -> None:
             table.add_row(f"{contact}.{axis}", f"{pole.radius:.5f}", f"{1 - pole.radius:.1e}", against(pole))
         console.print(table)
     for task, margin in report.damping_margins.items():
-        console.print(f"{task}: damping uses {margin / 2:.0%} of what this rate allows")
+        most = ", ".join(f"{axis} {value:.3g}" for axis, value in report.damping_limits[task].items())
+        console.print(f"{task}: damping uses {margin / 2:.0%} of what this rate allows; alone, each axis bears {most}")
     start = "feasible" if report.feasible else f"NOT feasible: {report.reason}"
     console.print(f"MuJoCo and Pinocchio agree to {report.model_error:.0e}; start pose {start}")
     console.print(f"{report.spec}: {'ok' if report.ok else 'FAILED'}")

@@ -51,9 +51,7 @@ class Geometry:
             assert task.frame is not None
             assert task.target is not None
             here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
-            references[name] = self._path(
-                spec.references[task.target], task.target, here, ("tasks", name, "target")
-            )
+            references[name] = self._path(spec.references[task.target], task.target, here, ("tasks", name, "target"))
             axes = VELOCITY_AXES if task.axes == "all" else task.axes
             self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
             self._check_axes(task.frame, () if task.axes == "all" else task.axes, ("tasks", name, "axes"))

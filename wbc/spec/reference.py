@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Annotated, ClassVar
 
 from pydantic import Field
@@ -105,7 +106,7 @@ class Arc(Curve):
 
 
 def _increasing(times: tuple[float, ...]) -> Iterable[Message]:
-    for i, (before, time) in enumerate(zip(times, times[1:], strict=False), 1):
+    for i, (before, time) in enumerate(pairwise(times), 1):
         if time <= before:
             yield ("times", i), f"expected a time after {before:g} s, got {time:g}"
 
