@@ -71,6 +71,13 @@ SPECS: dict[str, dict[str, float]] = {
         for figure, bound in (("step_error", 0.01), ("bode.gain_error", 0.1), ("bode.phase_error", 1.0))  # [dB], [deg]
     },
     "high_low_impedance": {"board.stiffness_error": 0.05, "stay.compliance_error": 0.05, "stiffness.ratio": 0.01},
+    "force_damped": {"wall.vz.speed.max": 0.0404, "wall.fz.rms_error": 0.005},  # F_d / K_damp = 0.04 m/s, and 1 %
+    "wheel": {
+        "board.fz.rms_error": 0.005,
+        "board.fy.rms_error": 0.005,
+        "roll.position.rms_error": 8e-5,
+        "board.vy.slip": 1e-4,  # sideways, over the whole curve [m]
+    },
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
 }
 
@@ -90,6 +97,7 @@ WEAK_OVERSHOOT, WEAK_RECOVERY = 0.10, 0.5  # of the step, [s]
 # naive Ki / (1 + Kp) is off; shares of the computed limit that are stable and that diverge
 FEEDFORWARD_BIAS, FORCE_POLE, NAIVE_POLE_OFF = 0.01, 0.01, 0.03
 FORCE_EDGE = (0.97, 1.05)
+TERMINAL_SPEED = 0.01
 
 # of this kind of machine; measured by benchmarks/tick.py, never asserted in a timed test
 TICK_MEDIAN_US = 150.0

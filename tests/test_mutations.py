@@ -29,10 +29,15 @@ from wbc.spec import Spec, load, source
 SHIPPED = shipped_names("tasks", ".yaml")
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 GAINS = {"kp", "ki", "kd", "damping"}
-DEFAULTS = {"rate", "tasks.posture.target", "limits.torque"}  # keys shipped at their default
+DEFAULTS = {
+    "rate",
+    "contacts.handle.free.swing.screw.pitch",
+    "tasks.posture.target",
+    "limits.torque",
+}  # keys shipped at their default
 SAMPLE = 60  # accepted mutations of each spec that the small campaign builds and runs
 TICKS = 20
-TIMES = (0.0, 0.4, 1.3, 2.9, 3.7)  # [s] at which references are looked at
+TIMES = (0.0, 0.4, 1.3, 2.9, 5.3)  # [s] at which references are looked at
 
 # what to do about it: what was expected, the nearest name, or advice
 REMEDY = re.compile(
@@ -290,7 +295,7 @@ def test_every_mutation_is_refused_or_changes_a_number(name: str, tmp_path: Path
         every = [mutation for mutation in mutations(name) if str(mutation) == wanted]
     else:
         every = list(mutations(name))
-        assert len({str(mutation) for mutation in every}) == len(every) > 600
+        assert len({str(mutation) for mutation in every}) == len(every) > 500
     judge = Judge(name, tmp_path)
     outcomes = [judge.judged(mutation, build=False) for mutation in every]
     accepted = [outcome.mutation for outcome in outcomes if outcome.verdict == "accepted"]

@@ -14,6 +14,7 @@ import numpy as np
 
 from . import quantity as quantities
 from . import spec as specs
+from .analytic import damping_limit
 from .closing import CLOSED, Goal, close
 from .contact import Contact
 from .controller import Controller, Phase
@@ -50,6 +51,7 @@ class Built:
     q: Array  # start
     poles: list[Pole]
     damping_margins: dict[str, float]
+    damping_limits: dict[str, dict[str, float]]
     phases: tuple[Phase, ...] = ()
     notes: list[str] = field(default_factory=list)
     masses: list[MassRange] = field(default_factory=list)
@@ -86,7 +88,9 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     poles = list(dict.fromkeys(pole for each in made for pole in each.poles))
     margins = {name: margin for each in made for name, margin in each.margins.items()}
     masses = [each for phase in made for each in phase.masses]
-    return Built(spec, robot, controller, q, poles, margins, controller.phases, [*notes, *controller.notes], masses)
+    most = {name: limits for each in made for name, limits in each.damping_limits.items()}
+    notes += controller.notes
+    return Built(spec, robot, controller, q, poles, margins, most, controller.phases, notes, masses)
 
 
 def _start_joints(spec: specs.Spec, robot: Robot, faults: Faults) -> Array:
@@ -145,7 +149,7 @@ def _check_followed(geometry: Geometry) -> list[str]:
             geometry.faults.add(
                 ("references", name), "nothing follows it; expected a target in contacts or tasks to name it"
             )
-        elif idle:
+        elif idle and reference.kind != "profile":
             along = ", ".join(VELOCITY_AXES[i] for i in sorted(idle))
             notes.append(f"{name}: nothing follows its motion along {along}")
     return notes
@@ -164,6 +168,7 @@ class _Made(NamedTuple):
     phase: Phase
     poles: list[Pole]
     margins: dict[str, float]
+    damping_limits: dict[str, dict[str, float]]
     masses: list[MassRange]
 
 
@@ -187,11 +192,11 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
         geometry.faults.check()
     tasks = Tracking(geometry, contacts, references).tasks(q)
     weights = {task: geometry.spec.tasks[task].weight for task in tasks}
-    poles, margins = _stability(geometry, contacts, tasks, q)
+    poles, margins, most = _stability(geometry, contacts, tasks, q)
     torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
     exit_ = None if entry is None else _exit(base, name, entry, follower, tasks, q)
     masses = _masses(geometry, contacts, tasks, q)
-    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins, masses)
+    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins, most, masses)
 
 
 def _exit(
@@ -264,12 +269,13 @@ def _unrendered(found: MassRange) -> str:
 
 def _stability(
     geometry: Geometry, contacts: Mapping[str, Contact], tasks: Mapping[str, Task], q: Array
-) -> tuple[list[Pole], dict[str, float]]:
-    """Poles of every force loop, and the damping margin by task."""
+) -> tuple[list[Pole], dict[str, float], dict[str, dict[str, float]]]:
+    """Poles of every force loop; by task, the damping margin and the most that each axis bears on its own."""
     spec, robot, faults = geometry.spec, geometry.robot, geometry.faults
     state, dt = robot.state(q, np.zeros(robot.nv)), 1.0 / spec.rate
     poles: list[Pole] = []
     margins: dict[str, float] = {}
+    most: dict[str, dict[str, float]] = {}
     for name, task in tasks.items():
         if not isinstance(task, ForceTask):
             continue
@@ -279,6 +285,7 @@ def _stability(
         Kp, Ki, D = task.Kp[:k, :k], task.Ki[:k, :k], task.K_damp
         masses = 1.0 / np.maximum(W.diagonal(), 1e-12)
         margins[name] = damping_margin(W, D, dt)
+        most[name] = {axis: damping_limit(W[i : i + 1, i : i + 1], dt) for i, axis in enumerate(contact.axes)}
         if not margins[name] < 2.0:
             bound = f"dt max eig(A M_C^-1 A' K_damp) = {margins[name]:.3g}, expected below 2"
             advice = "lower it on the axes of small inertia, or raise the rate"
@@ -291,7 +298,7 @@ def _stability(
         worst = max(found, key=lambda pole: pole.radius, default=None)
         if worst is not None and not worst.radius < 1.0:
             faults.add(("tasks", name, "kp"), _unstable(worst))
-    return poles, margins
+    return poles, margins, most
 
 
 def _limits(spec: specs.Spec, robot: Robot, faults: Faults) -> tuple[TorqueLimit, JointLimit | None]:

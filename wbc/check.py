@@ -26,6 +26,7 @@ class Report:
     reason: str
     poles: list[Pole]
     damping_margins: dict[str, float]
+    damping_limits: dict[str, dict[str, float]]  # task -> axis -> largest stable damping [N s/m, N m s/rad]
     notes: list[str] = field(default_factory=list)
     masses: list[MassRange] = field(default_factory=list)
 
@@ -44,6 +45,7 @@ class Report:
             "reason": self.reason,
             "poles": [pole._asdict() for pole in self.poles],
             "damping_margins": self.damping_margins,
+            "damping_limits": self.damping_limits,
             "notes": self.notes,
             "masses": [each._asdict() for each in self.masses],
         }
@@ -67,6 +69,7 @@ def check(spec: Spec) -> Report:
         out.reason,
         built.poles,
         built.damping_margins,
+        built.damping_limits,
         built.notes,
         built.masses,
     )

@@ -293,7 +293,8 @@ def _tell_check(report: Any) -> None:
             table.add_row(f"{contact}.{axis}", f"{pole.radius:.5f}", f"{1 - pole.radius:.1e}", against(pole))
         console.print(table)
     for task, margin in report.damping_margins.items():
-        console.print(f"{task}: damping uses {margin / 2:.0%} of what this rate allows")
+        most = ", ".join(f"{axis} {value:.3g}" for axis, value in report.damping_limits[task].items())
+        console.print(f"{task}: damping uses {margin / 2:.0%} of what this rate allows; alone, each axis bears {most}")
     for each in report.masses:
         for axis, mass, least, most in zip(each.axes, each.M, each.least, each.most, strict=True):
             stable = f"stable from {least:.3g}" + ("" if math.isinf(most) else f" to {most:.3g}")

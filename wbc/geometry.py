@@ -18,7 +18,7 @@ from .faults import Faults, Place
 from .friction import unilateral
 from .names import MOVING
 from .qp import Array
-from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, constant, hold, quintic, ramp, sine
+from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, arc, constant, hold, quintic, ramp, sine
 from .robot import Robot
 from .transition import Reading
 from .wrench import VELOCITY_AXES
@@ -71,7 +71,7 @@ class Geometry:
                 key = repr((task.frame, spec.references[task.target], q.tobytes()))
                 if key not in self.made:
                     here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
-                    self.made[key] = self._path(spec.references[task.target], here)
+                    self.made[key] = self._path(task.target, here, ("tasks", name, "target"))
                 references[name] = self.made[key]
                 axes = VELOCITY_AXES if task.axes == "all" else task.axes
                 self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
@@ -151,11 +151,15 @@ class Geometry:
         contact: Contact = AxesContact(entry.frame, held, free)
         if entry.in_ == "on":
             contact = WorldAxesContact(entry.frame, held, origin.rotation, free)
-        along = {}
+        along: dict[int, Scalar] = {}
         for axis in free:
             component, path = VELOCITY_AXES.index(axis), ("contacts", name, "artificial", axis)
             target = entry.motion_targets.get(axis, 0.0)
             along[component] = self._scalar(target, component, path, on or "world")
+            if isinstance(target, str) and self.spec.references[target].kind == "arc":
+                # it moves across its heading as well, by turning: what a wheel cannot do, and need not
+                along = components(self.spec.references[target]) | along
+                self.followed[target].add(VELOCITY_AXES.index("vy"))
         drawn = frozenset(VELOCITY_AXES.index(axis) for axis in free if self._drawn(entry.motion_targets.get(axis)))
         return contact, Path(origin, along, ends=self._ends(entry), placed=drawn)
 
@@ -235,7 +239,7 @@ class Geometry:
         self.followed.setdefault(target, set()).add(axis)
         if reference.kind == "hold":
             return constant(0.0)
-        if on is not None and reference.curve.in_ != on:
+        if on is not None and reference.kind != "profile" and reference.curve.in_ != on:
             message = f"reference {target!r} is drawn in {reference.curve.in_!r}, but the contact closes on {on!r}"
             self.faults.add(path, f"{message}; expected `in: {on}` in the reference")
         return self._component(target, reference, axis, path)
@@ -248,8 +252,13 @@ class Geometry:
             self.faults.add(path, f"{message}; expected a number, for a {reference.kind} gives {gives} only")
         return known.get(axis, constant(0.0))
 
-    def _path(self, reference: specs.Reference, here: pin.SE3) -> Reference:
+    def _path(self, name: str, here: pin.SE3, path: Place) -> Reference:
+        reference = self.spec.references[name]
         in_, along, ends = reference.curve.in_, components(reference), duration(reference)
+        if reference.kind == "profile":
+            message = f"reference {name!r} is a number; expected a motion: hold, line, circle, lissajous or quintic"
+            self.faults.add(path, message)
+            return Hold(here)
         if reference.kind == "hold" and in_ in ("world", SELF):
             return Hold(here, relative=True)
         if in_ == SELF:
@@ -280,6 +289,10 @@ def components(reference: specs.Reference) -> dict[int, Scalar]:
         used = [i for i in range(3) if any(p[i] for p in points)]
         used += [3, 4, 5] if any(len(p) == 6 for p in curve.waypoints) else []
         return {order[i]: quintic(curve.times, [p[i] for p in points]) for i in used}
+    if isinstance(curve, specs.Arc):
+        return arc(curve.radius, quintic(curve.times, curve.angles))
+    if isinstance(curve, specs.Profile):
+        return dict.fromkeys(range(6), quintic(curve.times, curve.values))  # whichever follows it
     return {}
 
 
@@ -288,6 +301,6 @@ def duration(reference: specs.Reference) -> float:
     curve = reference.curve
     if isinstance(curve, specs.Line):
         return curve.time
-    if isinstance(curve, specs.Quintic):
+    if isinstance(curve, specs.Quintic | specs.Arc | specs.Profile):
         return curve.times[-1]
     return 0.0 if isinstance(curve, specs.Hold) else math.inf

@@ -2,6 +2,8 @@
 
     CONTACT.AXIS.rms_error, .max_error, .mean      wrench of the robot on the environment against its target [N, N m]
         of screws and matrices also along the wrench axes mx ... fz, of what the constraint causes: A' lambda
+    CONTACT.AXIS.slip                              how far the frame went along an axis that is held [m, rad]
+    CONTACT.AXIS.speed.max                         speed along an axis that is held, from the first tick [m/s, rad/s]
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
     CONTACT.peak, .pull                            largest force along its target, and against it, at any time [N]
     CONTACT.asked_pull                             the latter of what the controller asks for and predicts [N]
@@ -41,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import response
-from .contact import Contact
+from .contact import AxesContact, Contact
 from .log import Log
 from .qp import Array
 from .task import ForceTask, MotionTask
@@ -68,6 +70,7 @@ def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
                 names += [f"{task.contact}.{figure}" for figure in ("peak", "pull", "asked_pull", "impact_error")]
         for name, contact in phase.contacts.items():
             names += [f"{name}.{figure}" for figure in ("lost", "corners", *_of_push(contact))]
+            names += [f"{name}.{axis}.{figure}" for axis in _held_axes(contact) for figure in ("slip", "speed.max")]
         for name, task in phase.tasks.items():
             if isinstance(task, MotionTask):
                 names += [f"{name}.{figure}" for figure in _MOTION]
@@ -81,6 +84,13 @@ _MOTION = (
     "position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max", "overshoot",
 )  # fmt: skip
 IMPACT = 0.02  # [s] after a touch in which its force is at its peak
+
+
+def _held_axes(contact: Contact) -> tuple[str, ...]:
+    """Velocity axes that a contact holds, where these are its rows."""
+    if not isinstance(contact, AxesContact):
+        return ()
+    return tuple(VELOCITY_AXES[WRENCH_AXES.index(axis)] for axis in contact.axes)
 
 
 def _screws(task: MotionTask) -> tuple[str, ...]:
@@ -125,7 +135,13 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         late = _late(log, active, settle)
         touched = np.maximum.accumulate(force & held) & late
         out[f"{name}.lost"] = float((touched & ~force).sum()) if held.any() else math.nan
-        out |= _push(log, name, next(phase.contacts[name] for phase in phases if name in phase.contacts), late)
+        contact = next(phase.contacts[name] for phase in phases if name in phase.contacts)
+        out |= _push(log, name, contact, late)
+        for i, axis in enumerate(_held_axes(contact)):
+            rate = log[f"{name}.rate"][:, i]
+            way = np.cumsum(rate[late]) * log.meta["dt"]
+            out[f"{name}.{axis}.speed.max"] = float(np.abs(rate[held]).max()) if held.any() else math.nan
+            out[f"{name}.{axis}.slip"] = float(np.abs(way).max()) if late.any() else math.nan
     return out | response.figures(log, phases, settle) | _limits(log)
 
 

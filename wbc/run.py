@@ -217,6 +217,7 @@ def _contact_rows(
         inverse = contact.pseudo_inverse(contact.A(state)) if held is None else held.inverse
         row |= {f"{name}.true": true[name].F, f"{name}.lam": inverse @ true[name].F}
         row[f"{name}.carried"] = (contact.A(state) if held is None else held.A).T @ row[f"{name}.lam"]
+        row[f"{name}.rate"] = np.full(contact.k, np.nan) if held is None else held.slip
         row |= {f"{name}.points": true[name].points, f"{name}.mu": true[name].mu}
         if held is not None and contact.pushes is not None:
             told = contact.pushes.told(contact, state, true[name].F)

@@ -16,7 +16,7 @@ from .fields import Model
 from .limit import Bound, Expect, Limits, Margin, Noise, Plant, Scale
 from .phase import Phase, Until, Within
 from .push import Bias, Move, Push, Sine, Wave
-from .reference import Circle, Curve, Hold, Line, Lissajous, Quintic, Reference
+from .reference import Arc, Circle, Curve, Hold, Line, Lissajous, Profile, Quintic, Reference
 from .task import AdmittanceTask, ForceTask, ImpedanceTask, MotionTask, PostureTask, Task
 
 __all__ = [
@@ -30,7 +30,7 @@ __all__ = [
     "json_schema",
     "load",
 ]
-__all__ += ["Circle", "Curve", "Hold", "Line", "Lissajous", "Quintic", "Reference"]
+__all__ += ["Arc", "Circle", "Curve", "Hold", "Line", "Lissajous", "Profile", "Quintic", "Reference"]
 __all__ += [
     "Contact",
     "ForceTask",
@@ -42,5 +42,5 @@ __all__ += [
     "Task",
     "Unilateral",
 ]
-__all__ += ["AdmittanceTask", "Bias", "ImpedanceTask", "Move", "Push", "Sine", "Unilateral", "Wave"]
+__all__ += ["AdmittanceTask", "Bias", "ImpedanceTask", "Move", "Push", "Sine", "Wave"]
 __all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until", "Within"]
