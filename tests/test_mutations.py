@@ -28,7 +28,7 @@ from wbc.spec import Spec, load, source
 
 SHIPPED = shipped_names("tasks", ".yaml")
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
-GAINS = {"kp", "ki", "kd", "damping"}
+GAINS = {"kp", "ki", "kd", "damping", "M", "B", "K"}
 DEFAULTS = {
     "rate",
     "contacts.handle.free.swing.screw.pitch",
@@ -170,7 +170,7 @@ def fingerprint(spec: Spec, robots: dict[Any, Any]) -> dict[str, Any]:
     built = build(spec, robots.get(files))
     robots[files] = built.robot
     found: dict[str, Any] = {"dt": built.controller.dt, "start": built.q, "margins": built.damping_margins}
-    found["poles"] = [tuple(pole) for pole in built.poles]
+    found["poles"], found["masses"] = ([repr(each) for each in every] for every in (built.poles, built.masses))
     for i, phase in enumerate(built.phases):
         for name, value in of_phase(built, phase):
             found[f"phase {i}.{name}"] = value
@@ -206,7 +206,7 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
         yield f"{name}.frame", state.frame(contact.frame).T.homogeneous
     for name, task in phase.tasks.items():
         yield f"{name}.weight", phase.weights[name]
-        for gain in ("Kp", "Ki", "Kd", "K_damp"):
+        for gain in ("Kp", "Ki", "Kd", "K_damp", "M", "B", "K", "split", "source", "printed", "gravity_only"):
             if hasattr(task, gain):
                 yield f"{name}.{gain}", getattr(task, gain)
         if hasattr(task, "reference"):

@@ -21,9 +21,9 @@ from .controller import Controller, Phase
 from .dynamics import mobility
 from .errors import did_you_mean
 from .faults import Faults, Place
-from .free_motion import MassRange, mass_range
+from .free_motion import STABLE, MassRange, following_radius, mass_range
 from .geometry import Geometry, components
-from .impedance import Compliance
+from .impedance import AdmittanceTask, Compliance
 from .limit import JointLimit, TorqueLimit, make_limits
 from .metrics import vocabulary
 from .model import open_welds
@@ -253,6 +253,11 @@ def _masses(
         masses.append(found)
         if not found.stable:
             geometry.faults.add(("tasks", name, "M"), _unrendered(found))
+        if isinstance(task, AdmittanceTask) and not task.printed:
+            pole = following_radius(task, 1.0 / spec.rate, spec.plant.delay)
+            if not pole <= STABLE:
+                told = f"the arm cannot follow so stiffly at this rate: the largest pole has modulus {pole:.4f}"
+                geometry.faults.add(("tasks", name, "kd"), f"{told}, expected below 1; lower kp or kd")
     return masses
 
 

@@ -294,8 +294,8 @@ class Controller:
         for name, wrench in (measured or {}).items():
             frame = self._feeling.get(name)
             if frame is None:
-                known = did_you_mean(name, self._feeling)
-                refused.append(f"measured: no contact and no task that feels a wrench named {name!r}{known}")
+                known = did_you_mean(name, self._feeling)  # tasks that feel a wrench themselves among them
+                refused.append(f"measured: no contact named {name!r}{known}")
                 continue
             F = wrench.at(state, frame) if isinstance(wrench, Wrench) else None
             if F is None or not math.isfinite(F.dot(F)):

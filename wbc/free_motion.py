@@ -77,13 +77,17 @@ def mass_range(name: str, task: Compliance, state: State, dt: float, delay: int 
         return radius(W, scale * task.M, task.B, task.K, dt, accelerated, delay)
 
     largest = worst(1.0)
-    if isinstance(task, AdmittanceTask):
-        largest = max(largest, radius(W, np.zeros_like(W), task.Kd @ W, task.Kp @ W, dt, False, delay))
     M: tuple[float, ...] = tuple(task.M.diagonal().tolist())
     if task.massless:
         return MassRange(name, task.axes, M, M, M, largest)
     least, most = stable_range(worst)
     return MassRange(name, task.axes, M, tuple(least * m for m in M), tuple(most * m for m in M), largest)
+
+
+def following_radius(task: AdmittanceTask, dt: float, delay: int = 0) -> float:
+    """Largest modulus of the poles with which an arm follows the mass of an admittance."""
+    one = np.eye(len(task.axes))
+    return radius(one, one, task.Kd, task.Kp, dt, delay=delay)
 
 
 def stable_range(worst: Callable[[float], float]) -> tuple[float, float]:

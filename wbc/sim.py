@@ -118,10 +118,10 @@ class Simulator:
         return None if self._sensor is None else self._sensor.compensated(self._reading(), state, vdot)
 
     def tare(self, state: State) -> None:
-        """Take what the wrist sensor reads at rest, at `state`, beyond the tool's weight, off all later readings."""
+        """Take what the wrist sensor reads at `state`, beyond the tool's load, off all later readings."""
         if self._sensor is not None:
             mujoco.mj_forward(self.model, self.data)
-            self._sensor = self._sensor.tare(self._reading(), state, np.zeros(self.robot.nv))
+            self._sensor = self._sensor.tare(self._reading(), state, self.data.qacc)
 
     def _reading(self) -> Array:
         reading = np.concatenate([self.data.sensor(name).data for name in SENSORS])

@@ -11,7 +11,7 @@ from .fields import ANumber, Model, NonNegative, Number, Positive, Text, Vec3, W
 from .source import Message
 
 Frequency = Annotated[
-    Annotated[Positive, Tag("<number>")] | Annotated[tuple[Positive, ...], Field(min_length=1), Tag("<list>")],
+    Annotated[Positive, Tag("<number>")] | Annotated[tuple[Positive, ...], Field(min_length=2), Tag("<list>")],
     either("a number or a list of numbers"),
 ]
 
