@@ -44,6 +44,7 @@ def made(active, fz=-10.0, **more):
         }
         row |= {"torque_rate_limit": np.ones(n), "q": np.zeros(n)}
         row |= {"board.true": np.r_[0, 0, 0, 0, 0, value], "board.lam": np.array([0.0, value])}
+        row |= {"board.points": float(value != 0.0), "board.mu": 0.0}
         row["board.asked"] = np.array([0.0, value if on else np.nan])
         name = "draw" if on else "lift"
         row |= {f"{name}.error": np.array([0, 0, 0, 1e-3, 0, 0]), f"{name}.speed": 0.1, f"{name}.desired_speed": 0.1}
@@ -79,7 +80,7 @@ def test_what_was_never_active_has_no_figures():
     found = metrics(made([range(0)]), phases(), 0.0)
     assert "board.fz.rms_error" not in found
     assert "draw.position.rms_error" not in found
-    assert np.isnan(found["board.lost"])
+    assert "board.lost" not in found
     assert found["lift.position.rms_error"] == pytest.approx(1e-3)
 
 

@@ -396,7 +396,8 @@ class Controller:
         """g(q) + J' F with the last certified wrenches, plus damping, at the last valid state, in limit and rate."""
         memory = self._remembered
         phase = self._programs[memory.phase].phase
-        state = State(self.robot, self._data, q, v, 0.0, self.dt)
+        last, state = self.state, State(self.robot, self._data, q, v, self.state.t, self.dt)
+        state.starts, self.state = last.starts, state
         hold(state, phase)
         tau = state.gravity() - HOLD_DAMPING * state.M.diagonal() * v
         for name, lam in memory.lam.items():

@@ -132,9 +132,11 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         force = np.linalg.norm(log[f"{name}.true"], axis=1) > 0.0
         active = [name in phase.contacts for phase in phases]
         held = _late(log, active, 0.0)
+        if not held.any():
+            continue
         late = _late(log, active, settle)
         touched = np.maximum.accumulate(force & held) & late
-        out[f"{name}.lost"] = float((touched & ~force).sum()) if held.any() else math.nan
+        out[f"{name}.lost"] = float((touched & ~force).sum())
         contact = next(phase.contacts[name] for phase in phases if name in phase.contacts)
         out |= _push(log, name, contact, late)
         for i, axis in enumerate(_held_axes(contact)):

@@ -103,7 +103,7 @@ def _facts(log: Log, summary: dict[str, Any]) -> list[str]:
         f"{log.size} ticks of {1e3 * meta['dt']:.3g} ms",
     ]
     facts += [f"a tick takes {us['p50']:.0f} µs (p50), {us['p99']:.0f} µs (p99)"] if log.size else []
-    return facts + ([f"shaded: settling, the first {meta['settle']:.3g} s"] if meta.get("settle") else [])
+    return facts + ([f"shaded: {meta['settle']:.3g} s of settling"] if meta.get("settle") else [])
 
 
 def _faults(log: Log, summary: dict[str, Any]) -> list[str]:

@@ -103,7 +103,9 @@ class Expect(Model):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Bounded] = Field(init=False)
 
-    settle: NonNegative = Field(default=0.0, description="time at the start that is left out of the figures [s]")
+    settle: NonNegative = Field(
+        default=0.0, description="time that is left out of the figures after each begin of a contact or task [s]"
+    )
 
     @property
     def bounds(self) -> dict[str, Bound]:
