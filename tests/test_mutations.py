@@ -195,6 +195,9 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
     for name, contact in phase.contacts.items():
         yield f"{name}.A", contact.A(state)
         yield f"{name}.axes", contact.axes
+        if (pushes := contact.pushes) is not None:
+            yield f"{name}.cone", contact.hold(state).cone.rows
+            yield f"{name}.push", (*pushes.d, pushes.least, pushes.mu, pushes.slip, pushes.modelled)
         yield f"{name}.frame", state.frame(contact.frame).T.homogeneous
     for name, task in phase.tasks.items():
         yield f"{name}.weight", phase.weights[name]
