@@ -11,6 +11,26 @@ SPECS: dict[str, dict[str, float]] = {
         "draw.position.rms_error": 8e-5,  # [m]
     },
     "chalk": {"board.fz.rms_error": 0.005, "draw.position.rms_error": 8e-5},
+    "chalk_slide": {
+        "board.fz.rms_error": 0.05,
+        "draw.position.rms_error": 1.5e-4,
+        "board.lost": 0,
+        "board.friction.angle": 5.0,  # [deg] off the velocity
+        "board.friction.mu_error": 0.02,  # of |f_t|/f_n = 0.3
+    },
+    "chalk_stick": {  # at 95 % of the cone
+        "board.creep": 1e-5,  # [m/s]
+        "board.fx.max_error": 0.01,
+        "board.fy.max_error": 0.01,
+        "board.fz.max_error": 0.01,
+    },
+    "eraser_friction": {
+        "board.fz.rms_error": 0.05,
+        "board.mx.rms_error": 2e-3,
+        "board.my.rms_error": 2e-3,
+        "draw.position.rms_error": 1e-4,
+        "board.tilt": 0.05,  # [deg]
+    },
     "chalk_liftoff": {
         "board.fz.rms_error": 0.005,
         "draw.position.rms_error": 8e-5,
@@ -40,6 +60,24 @@ SPECS: dict[str, dict[str, float]] = {
         **{f"handle.{axis}.rms_error": 0.1 for axis in ("fx", "fy", "fz")},
         **{f"handle.{axis}.rms_error": 0.02 for axis in ("mx", "my", "mz")},
     },
+    # errors relative to M, B, K as the spec has them, of a fit of true motion and true push
+    "impedance": {"feel.mass_error": 0.03, "feel.damping_error": 0.01, "feel.stiffness_error": 0.01},
+    "impedance_massless": {"feel.damping_error": 0.005, "feel.stiffness_error": 0.005},  # fitted with Lam(q)
+    "impedance_gravity": {"feel.damping_error": 0.05, "feel.stiffness_error": 0.05, "feel.speed.max": 0.2},
+    "admittance": {"feel.mass_error": 0.03, "feel.damping_error": 0.03, "feel.stiffness_error": 0.03},
+    "mass_spring_damper": {
+        f"{task}.{figure}": bound
+        for task in ("spring", "follower")
+        for figure, bound in (("step_error", 0.01), ("bode.gain_error", 0.1), ("bode.phase_error", 1.0))  # [dB], [deg]
+    },
+    "high_low_impedance": {"board.stiffness_error": 0.05, "stay.compliance_error": 0.05, "stiffness.ratio": 0.01},
+    "force_damped": {"wall.vz.speed.max": 0.0404, "wall.fz.rms_error": 0.005},  # F_d / K_damp = 0.04 m/s, and 1 %
+    "wheel": {
+        "board.fz.rms_error": 0.005,
+        "board.fy.rms_error": 0.005,
+        "roll.position.rms_error": 8e-5,
+        "board.vy.slip": 1e-4,  # sideways, over the whole curve [m]
+    },
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
 }
 
@@ -59,10 +97,23 @@ WEAK_OVERSHOOT, WEAK_RECOVERY = 0.10, 0.5  # of the step, [s]
 # naive Ki / (1 + Kp) is off; shares of the computed limit that are stable and that diverge
 FEEDFORWARD_BIAS, FORCE_POLE, NAIVE_POLE_OFF = 0.01, 0.01, 0.03
 FORCE_EDGE = (0.97, 1.05)
+TERMINAL_SPEED = 0.01
 
 # of this kind of machine; measured by benchmarks/tick.py, never asserted in a timed test
 TICK_MEDIAN_US = 150.0
 HELP_SECONDS = 0.5
 
+# eraser_friction: corners in contact; with mu 20 % wrong in the model; without any compensation it must miss
+CORNERS = 4
+WRONG_MU = {"board.fz.rms_error": 0.1, "draw.position.rms_error": 1e-3}
+UNCOMPENSATED = 4e-3  # [m] at least
+
 # polish_sphere: Lam Adot V of the book's law against the force, its prediction, and what compensation leaves
 SPHERE_BIAS, SPHERE_PREDICTED, SPHERE_COMPENSATED = 0.10, 0.01, 1e-3
+# impedance and admittance, beyond their specs
+SMALL_MASS_ERROR = 0.03  # of the predicted M + B dt
+PRINTED_ERROR = 0.03  # of the predicted M/(1 + M/Lam), B and K alike
+LEAST_MASS_ERROR = 0.10  # smallest stable M against the computed one
+ZY_ERROR = 0.02  # |Z Y - 1|, Z of an impedance along x, Y of an admittance along y
+BODE_FREQUENCIES = 10
+OBSERVER_ERROR = 0.05  # [N] against the lag-filtered truth

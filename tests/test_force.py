@@ -1,4 +1,4 @@
-"""Pure force control (book 11.5) in the simulator: bias of an unknown load, the sampled pole and its edge, the door."""
+"""Pure force control (book 11.5) in the simulator: bias of a load, pole and limit of the sampled loop; the door."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from plants import Plant
 from scipy.optimize import brentq
 
 from wbc import analytic
+from wbc.axes import VELOCITY_AXES, WRENCH_AXES
 from wbc.build import Built, build
+from wbc.check import check
 from wbc.controller import Controller
 from wbc.errors import SpecError
 from wbc.run import run
@@ -22,6 +24,7 @@ from wbc.spec import load
 from wbc.stability import loop_matrix, radius
 from wbc.task import ForceTask
 from wbc.verify import _unlimited
+from wbc.wrench import Wrench
 
 DT, G = 1e-3, 9.81
 F_D = np.array([1.0, -0.5, 0.5, 6.0, -4.0, -10.0])  # of the specs
@@ -136,6 +139,97 @@ def test_the_edge_of_stability_is_where_it_is_computed(cutoff, delay):
 def test_such_a_spec_is_refused():
     with pytest.raises(SpecError, match="the force loop on fz is unstable against a stiffness of"):
         build(load("force_pi", ["tasks.press.ki=1365"]))
+
+
+# --- with nothing to push against ---
+
+
+def test_the_hand_drifts_at_the_terminal_speed_until_it_meets_the_board():
+    finished = result("force_damped")
+    log, speed = finished.log, finished.log["wall.slip"][:, 2]
+    touched = int(np.flatnonzero(np.abs(log["wall.true"][:, 5]) > 0)[0])
+    expected = analytic.terminal_velocity(np.array([-10.0]), 250.0)[0]
+    assert touched > 500
+    np.testing.assert_allclose(speed[300:touched], expected, rtol=bars.TERMINAL_SPEED)
+    assert finished.summary["metrics"]["wall.vz.speed.max"] >= (1 - bars.TERMINAL_SPEED) * abs(expected)
+    assert np.abs(speed[-500:]).max() < 1e-6
+    assert log["wall.true"][-500:, 5] == pytest.approx(-10.0, abs=1e-3)
+
+
+AIR = """
+robot: panda
+tool: eraser
+contacts: {{wall: {{frame: eraser, holds: [{held}], artificial: {{wrench: {{{axis}: 0.1}}}}}}}}
+tasks: {{press: {{type: force, contact: wall}}}}
+"""
+
+
+def drift(file, axis, ticks=40, **gains) -> tuple[np.ndarray, float]:
+    """Speed along the only axis that a contact holds, where nothing resists; and the largest damping told by check."""
+    file.write_text(AIR.format(axis=axis, held=VELOCITY_AXES[WRENCH_AXES.index(axis)]))
+    built = build(load(file))
+    phase = _unlimited(built.phases[0])
+    press = ForceTask("wall", phase.contacts["wall"], np.array([0.1]), **gains)
+    controller = Controller(built.robot, phases=[replace(phase, tasks=phase.tasks | {"press": press})], q=built.q)
+    simulator, speed, nothing = Simulator(built.robot, built.q, DT), [], Wrench(np.zeros(6), "eraser")
+    controller.reset(built.q, np.zeros(7))
+    for _ in range(ticks):
+        seen = simulator.observe()
+        simulator.apply(controller.step(seen.t, seen.q, seen.v, measured={"wall": nothing}).tau)
+        speed.append(controller.state.contacts["wall"].slip[0])
+    return np.array(speed), check(load(file)).damping_limits["press"][axis]
+
+
+def test_a_proportional_part_doubles_as_force_where_nothing_resists(tmp_path):
+    """There F_e = F_d: the speed is (1 + Kp) F_d / K_damp."""
+    speed, _ = drift(tmp_path / "air.yaml", "fz", 300, kp=0.5, damping=100.0)
+    expected = analytic.terminal_velocity(np.array([0.1]), 100.0, 0.5)[0]
+    assert speed[-1] == pytest.approx(expected, rel=bars.TERMINAL_SPEED)
+
+
+@pytest.mark.parametrize("axis", ["mx", "mz", "fx", "fz"])
+def test_the_largest_stable_damping_of_an_axis_is_where_check_says(axis, tmp_path):
+    """In a tick v becomes (1 - dt W K_damp) v, which is -v at the edge."""
+    _, limit = drift(tmp_path / "air.yaml", axis, 1)
+    for share in bars.FORCE_EDGE:
+        swing = np.abs(np.diff(drift(tmp_path / "air.yaml", axis, damping=share * limit)[0]))
+        growth = (swing[-1] / swing[8]) ** (1 / (swing.size - 9))
+        assert growth == pytest.approx(abs(1 - 2 * share), abs=0.02)
+        assert (growth < 1) == (share < 1)
+
+
+def test_more_damping_than_an_axis_bears_is_refused():
+    limit = check(load("force_damped")).damping_limits["press"]["fz"]  # alone: the other axes couple with it
+    built = build(load("force_damped"))
+    state = built.robot.state(built.q, np.zeros(7))
+    J = state.frame("eraser").J[5:]
+    assert limit == pytest.approx(2 / (DT * (J @ np.linalg.solve(state.M, J.T)).item()))
+    check(load("force_damped", [f"tasks.press.damping=[1e-3, 1e-3, {0.99 * limit}]"]))
+    with pytest.raises(SpecError, match="damping is unstable at this rate"):
+        check(load("force_damped", [f"tasks.press.damping=[1e-3, 1e-3, {1.01 * limit}]"]))
+
+
+# --- a wheel ---
+
+
+def test_a_wheel_rolls_where_it_heads():
+    """Nonholonomic: it moves across its first heading by turning, and never sideways."""
+    finished = result("wheel")
+    path, speed = finished.log["roll.position"], np.abs(finished.log["board.slip"])
+    assert np.ptp(path[:, 0]) > 0.15
+    assert np.ptp(path[:, 1]) > 0.015
+    assert speed[1000:].max() < 1e-4
+    assert finished.log["roll.speed"].max() > 0.05
+    desired = finished.log["roll.desired"]  # also across, where nothing but the rolling brings it
+    assert np.abs(path - desired)[1000:].max() < 1e-3
+
+
+def test_its_axle_turns_and_is_no_joint_of_the_robot():
+    built, turned = build(load("wheel", ["duration=3"])), []
+    run(built, show=lambda simulator: turned.append(simulator.data.joint("axle").qpos[0]))
+    assert built.robot.nv == 7
+    way = 0.2 * 0.8 * (0.6**3 * (10 - 15 * 0.6 + 6 * 0.36))  # of the arc, after 3 of 5 s [m]
+    assert np.ptp(turned) == pytest.approx(way / 0.016, rel=0.02)
 
 
 # --- a door ---

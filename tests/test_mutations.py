@@ -28,11 +28,16 @@ from wbc.spec import Spec, load, source
 
 SHIPPED = shipped_names("tasks", ".yaml")
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
-GAINS = {"kp", "ki", "kd", "damping"}
-DEFAULTS = {"rate", "tasks.posture.target", "limits.torque"}  # keys shipped at their default
+GAINS = {"kp", "ki", "kd", "damping", "M", "B", "K"}
+DEFAULTS = {
+    "rate",
+    "contacts.handle.free.swing.screw.pitch",
+    "tasks.posture.target",
+    "limits.torque",
+}  # keys shipped at their default
 SAMPLE = 60  # accepted mutations of each spec that the small campaign builds and runs
 TICKS = 20
-TIMES = (0.0, 0.4, 1.3, 2.9, 3.7)  # [s] at which references are looked at
+TIMES = (0.0, 0.4, 1.3, 2.9, 5.3)  # [s] at which references are looked at
 
 # what to do about it: what was expected, the nearest name, or advice
 REMEDY = re.compile(
@@ -165,7 +170,7 @@ def fingerprint(spec: Spec, robots: dict[Any, Any]) -> dict[str, Any]:
     built = build(spec, robots.get(files))
     robots[files] = built.robot
     found: dict[str, Any] = {"dt": built.controller.dt, "start": built.q, "margins": built.damping_margins}
-    found["poles"] = [tuple(pole) for pole in built.poles]
+    found["poles"], found["masses"] = ([repr(each) for each in every] for every in (built.poles, built.masses))
     for i, phase in enumerate(built.phases):
         for name, value in of_phase(built, phase):
             found[f"phase {i}.{name}"] = value
@@ -201,7 +206,7 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
         yield f"{name}.frame", state.frame(contact.frame).T.homogeneous
     for name, task in phase.tasks.items():
         yield f"{name}.weight", phase.weights[name]
-        for gain in ("Kp", "Ki", "Kd", "K_damp"):
+        for gain in ("Kp", "Ki", "Kd", "K_damp", "M", "B", "K", "split", "source", "printed", "gravity_only"):
             if hasattr(task, gain):
                 yield f"{name}.{gain}", getattr(task, gain)
         if hasattr(task, "reference"):
@@ -290,7 +295,7 @@ def test_every_mutation_is_refused_or_changes_a_number(name: str, tmp_path: Path
         every = [mutation for mutation in mutations(name) if str(mutation) == wanted]
     else:
         every = list(mutations(name))
-        assert len({str(mutation) for mutation in every}) == len(every) > 600
+        assert len({str(mutation) for mutation in every}) == len(every) > 500
     judge = Judge(name, tmp_path)
     outcomes = [judge.judged(mutation, build=False) for mutation in every]
     accepted = [outcome.mutation for outcome in outcomes if outcome.verdict == "accepted"]

@@ -1,4 +1,4 @@
-"""Joints that are the plant's alone, a hinge of the scene, a wheel of the tool, against MuJoCo with them at rest."""
+"""Joints that are the plant's alone: a hinge of the scene, a wheel of the tool. MuJoCo at their rest is the oracle."""
 
 from __future__ import annotations
 

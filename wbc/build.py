@@ -5,6 +5,7 @@ Everything that only the robot can tell is checked here, every fault with its pl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import spec as specs
+from .analytic import damping_limit
 from .closing import CLOSED, Goal, close
 from .contact import Contact
 from .controller import Controller, Phase
@@ -19,7 +21,9 @@ from .dynamics import mobility
 from .errors import did_you_mean
 from .exits import exit_of
 from .faults import Faults
+from .free_motion import STABLE, MassRange, following_radius, mass_range
 from .geometry import Geometry, components
+from .impedance import AdmittanceTask, Compliance
 from .limit import JointLimit, TorqueLimit, make_limits
 from .metrics import vocabulary
 from .model import open_welds
@@ -46,8 +50,10 @@ class Built:
     q: Array  # start
     poles: list[Pole]
     damping_margins: dict[str, float]
+    damping_limits: dict[str, dict[str, float]]
     phases: tuple[Phase, ...] = ()
     notes: list[str] = field(default_factory=list)
+    masses: list[MassRange] = field(default_factory=list)
 
 
 def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | None = None) -> Built:
@@ -80,7 +86,10 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     faults.check()
     poles = list(dict.fromkeys(pole for each in made for pole in each.poles))
     margins = {name: margin for each in made for name, margin in each.margins.items()}
-    return Built(spec, robot, controller, q, poles, margins, controller.phases, [*notes, *controller.notes])
+    masses = [each for phase in made for each in phase.masses]
+    most = {name: limits for each in made for name, limits in each.damping_limits.items()}
+    notes += controller.notes
+    return Built(spec, robot, controller, q, poles, margins, most, controller.phases, notes, masses)
 
 
 def _start_joints(spec: specs.Spec, robot: Robot, faults: Faults) -> Array:
@@ -139,14 +148,14 @@ def _check_followed(geometry: Geometry) -> list[str]:
             geometry.faults.add(
                 ("references", name), "nothing follows it; expected a target in contacts or tasks to name it"
             )
-        elif idle:
+        elif idle and reference.kind != "profile":
             along = ", ".join(VELOCITY_AXES[i] for i in sorted(idle))
             notes.append(f"{name}: nothing follows its motion along {along}")
     return notes
 
 
 def _check_metrics(spec: specs.Spec, phases: Sequence[Phase], faults: Faults) -> None:
-    known = vocabulary(phases)
+    known = vocabulary(phases, spec.plant)
     for name in spec.expect.bounds:
         if name not in known:
             faults.add(("expect", name), f"no such quantity{did_you_mean(name, [*known, 'settle'])}")
@@ -158,6 +167,8 @@ class _Made(NamedTuple):
     phase: Phase
     poles: list[Pole]
     margins: dict[str, float]
+    damping_limits: dict[str, dict[str, float]]
+    masses: list[MassRange]
 
 
 def _active(spec: specs.Spec, phase: specs.Phase | None) -> specs.Spec:
@@ -180,20 +191,56 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
         geometry.faults.check()
     tasks = Tracking(geometry, contacts, references).tasks(q)
     weights = {task: geometry.spec.tasks[task].weight for task in tasks}
-    poles, margins = _stability(geometry, contacts, tasks, q)
+    poles, margins, most = _stability(geometry, contacts, tasks, q)
     torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
     exit_ = None if entry is None else exit_of(base, name, entry, follower, tasks, q)
-    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins)
+    masses = _masses(geometry, contacts, tasks, q)
+    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins, most, masses)
+
+
+def _masses(
+    geometry: Geometry, contacts: Mapping[str, Contact], tasks: Mapping[str, Task], q: Array
+) -> list[MassRange]:
+    """What impedance and admittance can render at the start; what is unstable there is a fault."""
+    spec, robot, masses = geometry.spec, geometry.robot, list[MassRange]()
+    state = robot.state(q, np.zeros(robot.nv))
+    for name, contact in contacts.items():
+        state.contacts[name] = contact.hold(state)
+    for name, task in tasks.items():
+        if not isinstance(task, Compliance):
+            continue
+        found = mass_range(name, task, state, 1.0 / spec.rate, spec.plant.delay)
+        masses.append(found)
+        if not found.stable:
+            geometry.faults.add(("tasks", name, "M"), _unrendered(found))
+        if isinstance(task, AdmittanceTask) and not task.printed:
+            pole = following_radius(task, 1.0 / spec.rate, spec.plant.delay)
+            if not pole <= STABLE:
+                told = f"the arm cannot follow so stiffly at this rate: the largest pole has modulus {pole:.4f}"
+                geometry.faults.add(("tasks", name, "kd"), f"{told}, expected below 1; lower kp or kd")
+    return masses
+
+
+def _unrendered(found: MassRange) -> str:
+    """An unstable mass, and those that would be stable."""
+    pole = f"unstable at this rate: the largest pole of free motion has modulus {found.radius:.4f}, expected below 1"
+    told = [
+        f"{axis} from {low:.3g}{'' if math.isinf(high) else f' to {high:.3g}'}"
+        for axis, low, high in zip(found.axes, found.least, found.most, strict=True)
+        if low < high
+    ]
+    return f"{pole}; choose M on {', '.join(told)}" if told else f"{pole}; lower it with K and B, or raise the rate"
 
 
 def _stability(
     geometry: Geometry, contacts: Mapping[str, Contact], tasks: Mapping[str, Task], q: Array
-) -> tuple[list[Pole], dict[str, float]]:
-    """Poles of every force loop, and the damping margin by task."""
+) -> tuple[list[Pole], dict[str, float], dict[str, dict[str, float]]]:
+    """Poles of every force loop; by task, the damping margin and the most that each axis bears on its own."""
     spec, robot, faults = geometry.spec, geometry.robot, geometry.faults
     state, dt = robot.state(q, np.zeros(robot.nv)), 1.0 / spec.rate
     poles: list[Pole] = []
     margins: dict[str, float] = {}
+    most: dict[str, dict[str, float]] = {}
     for name, task in tasks.items():
         if not isinstance(task, ForceTask):
             continue
@@ -203,6 +250,7 @@ def _stability(
         Kp, Ki, D = task.Kp[:k, :k], task.Ki[:k, :k], task.K_damp
         masses = 1.0 / np.maximum(W.diagonal(), 1e-12)
         margins[name] = damping_margin(W, D, dt)
+        most[name] = {axis: damping_limit(W[i : i + 1, i : i + 1], dt) for i, axis in enumerate(contact.axes)}
         if not margins[name] < 2.0:
             bound = f"dt max eig(A M_C^-1 A' K_damp) = {margins[name]:.3g}, expected below 2"
             advice = "lower it on the axes of small inertia, or raise the rate"
@@ -215,7 +263,7 @@ def _stability(
         worst = max(found, key=lambda pole: pole.radius, default=None)
         if worst is not None and not worst.radius < 1.0:
             faults.add(("tasks", name, "kp"), _unstable(worst))
-    return poles, margins
+    return poles, margins, most
 
 
 def _limits(spec: specs.Spec, robot: Robot, faults: Faults) -> tuple[TorqueLimit, JointLimit | None]:

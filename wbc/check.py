@@ -10,6 +10,7 @@ import numpy as np
 
 from .build import build
 from .controller import Controller, Phase, Status
+from .free_motion import MassRange
 from .limit import TorqueLimit
 from .spec import Spec
 from .stability import Pole
@@ -25,7 +26,9 @@ class Report:
     reason: str
     poles: list[Pole]
     damping_margins: dict[str, float]
+    damping_limits: dict[str, dict[str, float]]  # task -> axis -> largest stable damping [N s/m, N m s/rad]
     notes: list[str] = field(default_factory=list)
+    masses: list[MassRange] = field(default_factory=list)
 
     @property
     def ok(self) -> bool:
@@ -42,7 +45,9 @@ class Report:
             "reason": self.reason,
             "poles": [pole._asdict() for pole in self.poles],
             "damping_margins": self.damping_margins,
+            "damping_limits": self.damping_limits,
             "notes": self.notes,
+            "masses": [each._asdict() for each in self.masses],
         }
 
 
@@ -64,7 +69,9 @@ def check(spec: Spec) -> Report:
         out.reason,
         built.poles,
         built.damping_margins,
+        built.damping_limits,
         built.notes,
+        built.masses,
     )
 
 

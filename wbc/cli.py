@@ -293,7 +293,12 @@ def _tell_check(report: Any) -> None:
             table.add_row(f"{contact}.{axis}", f"{pole.radius:.5f}", f"{1 - pole.radius:.1e}", against(pole))
         console.print(table)
     for task, margin in report.damping_margins.items():
-        console.print(f"{task}: damping uses {margin / 2:.0%} of what this rate allows")
+        most = ", ".join(f"{axis} {value:.3g}" for axis, value in report.damping_limits[task].items())
+        console.print(f"{task}: damping uses {margin / 2:.0%} of what this rate allows; alone, each axis bears {most}")
+    for each in report.masses:
+        for axis, mass, least, most in zip(each.axes, each.M, each.least, each.most, strict=True):
+            stable = f"stable from {least:.3g}" + ("" if math.isinf(most) else f" to {most:.3g}")
+            console.print(f"{each.task}.{axis}: " + (f"M = {mass:.3g}, {stable}" if mass else "the arm's own mass"))
     start = "feasible" if report.feasible else f"NOT feasible: {report.reason}"
     console.print(f"MuJoCo and Pinocchio agree to {report.model_error:.0e}; start pose {start}")
     console.print(f"{report.spec}: {'ok' if report.ok else 'FAILED'}")

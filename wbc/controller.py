@@ -16,6 +16,7 @@ import numpy as np
 from .contact import Contact
 from .errors import NameNotFound, StateError, did_you_mean
 from .handover import Start, hand_over
+from .impedance import NEW, Felt
 from .kernels import torque
 from .phase import Phase, Program, carry, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
@@ -79,6 +80,7 @@ class Memory(NamedTuple):
     starts: Mapping[str, Start] = _NONE  # of the tasks that began after the first tick
     watch: Watch = _NEW_WATCH  # of the phase's ways out
     why: str = ""  # the last change of phase, or the stop
+    felt: Mapping[str, Felt] = _NONE  # what tasks know of a push
 
 
 class Controller:
@@ -114,6 +116,7 @@ class Controller:
         self.notes: list[str] = []
         self._programs = [Program(settle_posture(phase, start, self.notes), start) for phase in phases]
         self._contacts = {name: contact for phase in phases for name, contact in phase.contacts.items()}
+        self._feeling = {name: frame for phase in phases for name, frame in phase.feeling.items()}
         self._index = {phase.name: i for i, phase in enumerate(phases)}
         for to in (to for phase in phases if phase.exit is not None for to in phase.exit.targets):
             if to != STOP and to not in self._index:
@@ -200,8 +203,8 @@ class Controller:
     ) -> Output:
         """One tick at time t [s] of the caller's clock, at state q (nq,), v (nv,) in Pinocchio's convention.
 
-        `measured`: contact -> Wrench; `targets`: `contact.axis` -> number, kept until changed; `tau_applied`: what the
-        driver really sent last; `missed`: ticks that the caller left out. Never raises on data.
+        `measured`: contact, or task that has none -> Wrench; `targets`: `contact.axis` -> number, kept until changed;
+        `tau_applied`: what the driver really sent last; `missed`: ticks that the caller left out. Never raises on data.
         """
         try:
             return self._step(t, q, v, measured, targets, tau_applied, missed)
@@ -251,6 +254,8 @@ class Controller:
             tau_last = program.phase.torque.inside(tau_last)
         self.recalled = memory
         state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
+        if program.phase.compliant:
+            memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
         bounds = program.phase.torque.bounds(tau_last, self.dt)
         if not program.assemble(state, bounds, self.dt):
             return self._hold(program.last.fault())
@@ -270,7 +275,10 @@ class Controller:
         carry(state, after.phase)
         starts, loops = hand_over(before, after, state, memory.starts, memory.loops, after.phase.torque.inside(tau))
         why = _told(before.phase, change)
-        return memory._replace(phase=index, phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH, why=why)
+        felt = {name: memory.felt[name] for name in after.phase.compliant if name in memory.felt}
+        return memory._replace(
+            phase=index, phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH, why=why, felt=felt
+        )
 
     def _stop(self, q: Array, v: Array, change: Change) -> Output:
         """A phase that leads nowhere: the safe hold, without the wrench of a contact that is lost."""
@@ -284,14 +292,16 @@ class Controller:
         refused: list[str] = []
         loops = memory.loops
         for name, wrench in (measured or {}).items():
-            if name not in self._contacts:
-                refused.append(f"measured: no contact named {name!r}{did_you_mean(name, self._contacts)}")
+            frame = self._feeling.get(name)
+            if frame is None:
+                known = did_you_mean(name, self._feeling)  # tasks that feel a wrench themselves among them
+                refused.append(f"measured: no contact named {name!r}{known}")
                 continue
-            F = wrench.at(state, self._contacts[name].frame) if isinstance(wrench, Wrench) else None
+            F = wrench.at(state, frame) if isinstance(wrench, Wrench) else None
             if F is None or not math.isfinite(F.dot(F)):
                 got = type(wrench).__name__ if F is None else F
                 refused.append(f"measured.{name}: expected a finite Wrench, got {got}; the last one stands")
-                F = loops[name].filtered if name in loops else None
+                F = loops[name].filtered if name in loops else memory.felt.get(name, NEW).F
             if F is not None:
                 state.measured[name] = F
         state.targets = memory.targets  # type: ignore[assignment]
@@ -299,6 +309,22 @@ class Controller:
             state.targets = dict(memory.targets)
             refused += self._retarget(state, targets)
         return refused
+
+    def _feel(self, state: State, phase: Phase, memory: Memory, tau: Array) -> dict[str, Felt]:
+        """The pushes of this tick, by task; each counts once among the known loads."""
+        felt: dict[str, Felt] = {}
+        if phase.gravity_only:
+            state.bias = state.bias + (state.gravity() - state.h)
+        carried = set(phase.fed)
+        for name, task in phase.compliant.items():
+            at = task.contact or name
+            felt[name] = state.felt[task] = task.feel(state, state.measured.get(at), tau, memory.felt.get(name, NEW))
+            F, place = felt[name].F, task.contact or task.frame
+            if F is None or not task.carries or place in carried:
+                continue
+            carried.add(place)  # tasks at one frame feel one wrench
+            state.carry(task.frame, F if task.contact is None else state.contacts[task.contact].unconstrained(F))
+        return felt
 
     def _retarget(self, state: State, targets: Mapping[str, float]) -> list[str]:
         known = [f"{name}.{axis}" for name, contact in self._contacts.items() for axis in contact.axes]
@@ -346,7 +372,7 @@ class Controller:
         gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
             t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
-            state.targets, status, 0, good, memory.starts, memory.watch, memory.why,
+            state.targets, status, 0, good, memory.starts, memory.watch, memory.why, memory.felt,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)

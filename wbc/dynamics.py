@@ -44,6 +44,14 @@ def mobility(state: State, G: Array) -> Array:
     return G.dot(state.solve_M(G.T))
 
 
+def unheld(state: State, G: Array) -> Array:
+    """(m, m) the same within the contacts of the state: what unit forces cause while the world holds on."""
+    held = [each.G for each in state.contacts.values() if each.G.shape[0]]
+    k = sum(each.shape[0] for each in held)
+    W = mobility(state, np.concatenate([*held, G]))
+    return np.asarray(W[k:, k:] - W[k:, :k] @ inertia(W[:k, :k]) @ W[:k, k:] if k else W)
+
+
 def gauss(state: State, G: Array, b: Array, vdot: Array) -> tuple[Rows, Array]:
     """Rows G vdot = b in their inertia, and an acceleration wanted in what they leave free, as one cost; and G M^-1 G'.
 
@@ -62,11 +70,18 @@ def reaction(state: State, tau: Array) -> dict[str, Array]:
     """Multipliers (k,) by contact with which rigid contacts answer a torque (nv,), after (5) of the chapter:
 
     lambda = (G M^-1 G')^-1 (G M^-1 (tau - bias) + A Jdot v + Adot V)
+
+    Where sliding friction is modelled its drag stands in the place of the second G.
     """
     held = state.contacts
     G = np.concatenate([np.zeros((0, tau.size)), *(each.G for each in held.values())])
     rhs = np.concatenate([np.zeros(0), *(each.rhs for each in held.values())])
-    answer = inertia(mobility(state, G)).dot(G.dot(state.solve_M((tau - state.bias)[:, None])[:, 0]) - rhs)
+    wanted = G.dot(state.solve_M((tau - state.bias)[:, None])[:, 0]) - rhs
+    if any(each.push is not each.G for each in held.values()):
+        push = np.concatenate([each.push for each in held.values()])
+        answer = np.linalg.lstsq(G.dot(state.solve_M(push.T)), wanted, rcond=1e-10)[0]
+    else:
+        answer = inertia(mobility(state, G)).dot(wanted)
     lam, start = {}, 0
     for name, each in held.items():
         lam[name] = answer[start : start + each.rhs.size]

@@ -9,7 +9,7 @@ freely across d drags the world along with mu N, which `feedforward` may put int
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -18,10 +18,13 @@ from .errors import WrenchError
 from .qp import Array, Rows
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from .contact import Contact
-    from .reference import Reference
+    from .reference import Sample
     from .robot import Frame, State
 
+Guide: TypeAlias = "Callable[[State], Sample]"  # the desired motion at a state
 FACES = 8
 SLIP = 0.005  # [m/s]
 
@@ -68,7 +71,7 @@ class Unilateral:
         mu: float = 0.0,
         faces: int = FACES,
         slip: float = SLIP,
-        guide: Reference | None = None,
+        guide: Guide | None = None,
         place: Array | None = None,
     ) -> None:
         self.d, self.held, self.slides = d, held, slides
@@ -111,7 +114,7 @@ class Unilateral:
         """(s,) in which it slides along the rows `slides`, in the axes of the frame: the velocity's, or the guide's."""
         v, v_d = slides.dot(frame.V[3:]), np.zeros(len(slides))
         if self.guide is not None and v.dot(v) < self.slip**2:
-            desired = self.guide(state.t)
+            desired = self.guide(state)
             v_d = slides.dot(frame.T.rotation.T.dot(desired.T.rotation.dot(desired.V[3:])))
         return sliding_direction(v, v_d, self.slip)
 
@@ -154,7 +157,7 @@ def unilateral(
     mu: float = 0.0,
     faces: int = FACES,
     slip: float = SLIP,
-    guide: Reference | None = None,
+    guide: Guide | None = None,
     place: Array | None = None,
 ) -> Unilateral:
     """What a contact that pushes along d holds and where it slides, told from its A at a state.

@@ -16,8 +16,9 @@ from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
 from .faults import Faults, Place
 from .friction import unilateral
+from .names import MOVING
 from .qp import Array
-from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, constant, hold, quintic, ramp, sine
+from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, arc, constant, hold, quintic, ramp, sine
 from .robot import Robot
 from .transition import Reading
 from .wrench import VELOCITY_AXES
@@ -54,24 +55,26 @@ class Geometry:
                 contacts[name], paths[name] = self.made[key]
                 contacts[name].feedforward = entry.feedforward
             if name in contacts and entry.push is not None:
-                self._push(name, entry, entry.push, contacts[name], paths[name], q)
+                self._push(name, entry, entry.push, contacts[name], q)
         references: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
-            if not isinstance(task, specs.MotionTask):
+            if not isinstance(task, MOVING):
                 continue
             if task.contact is not None:
                 if task.contact in paths:
                     references[name] = paths[task.contact]
                 continue
             assert task.frame is not None
-            assert task.target is not None
-            key = repr((task.frame, spec.references[task.target], q.tobytes()))
-            if key not in self.made:
-                here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
-                self.made[key] = self._path(spec.references[task.target], here)
-            references[name] = self.made[key]
-            axes = VELOCITY_AXES if task.axes == "all" else task.axes
-            self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
+            if task.target is None:
+                references[name] = hold(self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T)
+            else:
+                key = repr((task.frame, spec.references[task.target], q.tobytes()))
+                if key not in self.made:
+                    here = self.robot.state(q, np.zeros(self.robot.nv)).frame(task.frame).T
+                    self.made[key] = self._path(task.target, here, ("tasks", name, "target"))
+                references[name] = self.made[key]
+                axes = VELOCITY_AXES if task.axes == "all" else task.axes
+                self.followed.setdefault(task.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
             self._check_axes(task.frame, () if task.axes == "all" else task.axes, ("tasks", name, "axes"))
         return contacts, references
 
@@ -81,11 +84,11 @@ class Geometry:
         goals: list[Goal] = []
         paths: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
-            if not isinstance(task, specs.MotionTask):
+            if not isinstance(task, MOVING):
                 continue
             if task.contact is not None:
                 paths[task.contact] = references[name]
-            elif task.frame is not None and not getattr(references[name], "relative", False):
+            elif task.frame is not None and task.target and not getattr(references[name], "relative", False):
                 rows = np.eye(6)[[i for i, a in enumerate(VELOCITY_AXES) if task.axes == "all" or a in task.axes]]
                 goals.append(Goal(task.frame, references[name](0.0).T, rows, ("tasks", name, "target")))
         for name, contact in contacts.items():
@@ -148,17 +151,19 @@ class Geometry:
         contact: Contact = AxesContact(entry.frame, held, free)
         if entry.in_ == "on":
             contact = WorldAxesContact(entry.frame, held, origin.rotation, free)
-        along = {}
+        along: dict[int, Scalar] = {}
         for axis in free:
             component, path = VELOCITY_AXES.index(axis), ("contacts", name, "artificial", axis)
             target = entry.motion_targets.get(axis, 0.0)
             along[component] = self._scalar(target, component, path, on or "world")
+            if isinstance(target, str) and self.spec.references[target].kind == "arc":
+                # it moves across its heading as well, by turning: what a wheel cannot do, and need not
+                along = components(self.spec.references[target]) | along
+                self.followed[target].add(VELOCITY_AXES.index("vy"))
         drawn = frozenset(VELOCITY_AXES.index(axis) for axis in free if self._drawn(entry.motion_targets.get(axis)))
         return contact, Path(origin, along, ends=self._ends(entry), placed=drawn)
 
-    def _push(
-        self, name: str, entry: specs.Contact, push: specs.Push, contact: Contact, path: Reference, q: Array
-    ) -> None:
+    def _push(self, name: str, entry: specs.Contact, push: specs.Unilateral, contact: Contact, q: Array) -> None:
         """Where the world only pushes; what friction does there stands in the keys that are at fault."""
         d = (-1.0 if push.along.startswith("-") else 1.0) * np.eye(3)["xyz".index(push.along[-1])]
         state, friction = self.robot.state(q, np.zeros(self.robot.nv)), entry.coulomb
@@ -170,7 +175,7 @@ class Geometry:
                 contact.pushes = unilateral(contact, state, d, push.least, place=place)
             else:
                 mu, faces, slip = friction.mu, friction.faces, friction.slip
-                contact.pushes = unilateral(contact, state, d, push.least, mu, faces, slip, path, place)
+                contact.pushes = unilateral(contact, state, d, push.least, mu, faces, slip, None, place)
 
     def _sphere(
         self, name: str, entry: specs.Contact, radius: float, origin: pin.SE3, on: str | None
@@ -234,7 +239,7 @@ class Geometry:
         self.followed.setdefault(target, set()).add(axis)
         if reference.kind == "hold":
             return constant(0.0)
-        if on is not None and reference.curve.in_ != on:
+        if on is not None and reference.kind != "profile" and reference.curve.in_ != on:
             message = f"reference {target!r} is drawn in {reference.curve.in_!r}, but the contact closes on {on!r}"
             self.faults.add(path, f"{message}; expected `in: {on}` in the reference")
         return self._component(target, reference, axis, path)
@@ -247,8 +252,13 @@ class Geometry:
             self.faults.add(path, f"{message}; expected a number, for a {reference.kind} gives {gives} only")
         return known.get(axis, constant(0.0))
 
-    def _path(self, reference: specs.Reference, here: pin.SE3) -> Reference:
+    def _path(self, name: str, here: pin.SE3, path: Place) -> Reference:
+        reference = self.spec.references[name]
         in_, along, ends = reference.curve.in_, components(reference), duration(reference)
+        if reference.kind == "profile":
+            message = f"reference {name!r} is a number; expected a motion: hold, line, circle, lissajous or quintic"
+            self.faults.add(path, message)
+            return Hold(here)
         if reference.kind == "hold" and in_ in ("world", SELF):
             return Hold(here, relative=True)
         if in_ == SELF:
@@ -279,6 +289,10 @@ def components(reference: specs.Reference) -> dict[int, Scalar]:
         used = [i for i in range(3) if any(p[i] for p in points)]
         used += [3, 4, 5] if any(len(p) == 6 for p in curve.waypoints) else []
         return {order[i]: quintic(curve.times, [p[i] for p in points]) for i in used}
+    if isinstance(curve, specs.Arc):
+        return arc(curve.radius, quintic(curve.times, curve.angles))
+    if isinstance(curve, specs.Profile):
+        return dict.fromkeys(range(6), quintic(curve.times, curve.values))  # whichever follows it
     return {}
 
 
@@ -287,6 +301,6 @@ def duration(reference: specs.Reference) -> float:
     curve = reference.curve
     if isinstance(curve, specs.Line):
         return curve.time
-    if isinstance(curve, specs.Quintic):
+    if isinstance(curve, specs.Quintic | specs.Arc | specs.Profile):
         return curve.times[-1]
     return 0.0 if isinstance(curve, specs.Hold) else math.inf

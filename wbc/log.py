@@ -25,14 +25,18 @@ class Log:
 
     def append(self, active: tuple[str, ...], **values: Any) -> None:
         """One tick: numbers and vectors by name (`board__true` is stored as `board.true`)."""
-        i = self.size
+        self.active.append(active)
+        self.size += 1
+        self.put(**values)
+
+    def put(self, **values: Any) -> None:
+        """More of the same tick."""
+        i = self.size - 1
         for name, value in values.items():
             array = self._arrays.get(name)
             if array is None:
                 array = self._arrays[name] = np.full((self.ticks, *np.shape(value)), np.nan)
             array[i] = value
-        self.active.append(active)
-        self.size += 1
 
     def __contains__(self, name: str) -> bool:
         return name in self._arrays

@@ -2,6 +2,8 @@
 
     CONTACT.AXIS.rms_error, .max_error, .mean      wrench of the robot on the environment against its target [N, N m]
         of screws and matrices also along the wrench axes mx ... fz, of what the constraint causes: A' lambda
+    CONTACT.AXIS.slip                              how far the frame went along an axis that is held [m, rad]
+    CONTACT.AXIS.speed.max                         speed along an axis that is held, from the first tick [m/s, rad/s]
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
     CONTACT.peak, .pull                            largest force along its target, and against it, at any time [N]
     CONTACT.asked_pull                             the latter of what the controller asks for and predicts [N]
@@ -17,6 +19,11 @@
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
     TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
     TASK.SCREW.rms_error, .max_error               distance along a free screw of the contact [rad; m of a slide]
+    TASK.mass_error, .damping_error, .stiffness_error      what a push feels against M, B, K of a compliant task [1]
+    TASK.law.mass_error, ...                       the same, with what law and tick predict taken off (`response`)
+    TASK.external.rms_error, .lag                  observer: error of its model, and of its lag [N]
+    TASK.step_error, .bode.gain_error, .phase_error        one axis: against the closed form [1], [dB], [deg]
+    TASK.compliance_error, CONTACT.stiffness_error, stiffness.ratio     the two ideals (`response`) [1]
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
     joint.max_excess                               position beyond its limit [rad]
@@ -35,7 +42,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .contact import Contact
+from . import response
+from .contact import AxesContact, Contact
 from .log import Log
 from .qp import Array
 from .task import ForceTask, MotionTask
@@ -48,9 +56,9 @@ ALWAYS = (
 )  # fmt: skip
 
 
-def vocabulary(phases: Sequence[Any]) -> list[str]:
-    """Every metric that a run of these phases reports."""
-    names = list(ALWAYS)
+def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
+    """Every metric that a run of these phases reports, under what the plant does to them."""
+    names = [*ALWAYS, *response.names(phases, plant)]
     for phase in phases:
         for task in phase.tasks.values():
             if isinstance(task, ForceTask):
@@ -62,6 +70,7 @@ def vocabulary(phases: Sequence[Any]) -> list[str]:
                 names += [f"{task.contact}.{figure}" for figure in ("peak", "pull", "asked_pull", "impact_error")]
         for name, contact in phase.contacts.items():
             names += [f"{name}.{figure}" for figure in ("lost", "corners", *_of_push(contact))]
+            names += [f"{name}.{axis}.{figure}" for axis in _held_axes(contact) for figure in ("slip", "speed.max")]
         for name, task in phase.tasks.items():
             if isinstance(task, MotionTask):
                 names += [f"{name}.{figure}" for figure in _MOTION]
@@ -75,6 +84,13 @@ _MOTION = (
     "position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max", "overshoot",
 )  # fmt: skip
 IMPACT = 0.02  # [s] after a touch in which its force is at its peak
+
+
+def _held_axes(contact: Contact) -> tuple[str, ...]:
+    """Velocity axes that a contact holds, where these are its rows."""
+    if not isinstance(contact, AxesContact):
+        return ()
+    return tuple(VELOCITY_AXES[WRENCH_AXES.index(axis)] for axis in contact.axes)
 
 
 def _screws(task: MotionTask) -> tuple[str, ...]:
@@ -121,8 +137,14 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         late = _late(log, active, settle)
         touched = np.maximum.accumulate(force & held) & late
         out[f"{name}.lost"] = float((touched & ~force).sum())
-        out |= _push(log, name, next(phase.contacts[name] for phase in phases if name in phase.contacts), late)
-    return out | _limits(log)
+        contact = next(phase.contacts[name] for phase in phases if name in phase.contacts)
+        out |= _push(log, name, contact, late)
+        for i, axis in enumerate(_held_axes(contact)):
+            rate = log[f"{name}.rate"][:, i]
+            way = np.cumsum(rate[late]) * log.meta["dt"]
+            out[f"{name}.{axis}.speed.max"] = float(np.abs(rate[held]).max()) if held.any() else math.nan
+            out[f"{name}.{axis}.slip"] = float(np.abs(way).max()) if late.any() else math.nan
+    return out | response.figures(log, phases, settle) | _limits(log)
 
 
 def _pressed(task: Any) -> str | None:
@@ -166,7 +188,7 @@ def _of_push(contact: Contact) -> tuple[str, ...]:
 
 def _push(log: Log, name: str, contact: Contact, late: NDArray[np.bool_]) -> dict[str, float]:
     points = log[f"{name}.points"]
-    touched = np.maximum.accumulate(points > 0) & late
+    touched = np.maximum.accumulate(points > 0) & late & np.isfinite(points)  # not a number: not this phase's contact
     out = {f"{name}.corners": float(points[touched].min()) if touched.any() else math.nan}
     wanted = _of_push(contact)
     if "tilt" in wanted:

@@ -14,6 +14,8 @@ from .faults import Faults, Place
 from .model import find
 from .robot import Robot
 
+MOVING = (specs.MotionTask, specs.ImpedanceTask, specs.AdmittanceTask)
+
 
 def load_robot(spec: specs.Spec, faults: Faults) -> Robot:
     """The robot of a spec with its tool and scene. Raises SpecError."""
@@ -76,19 +78,23 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
         if reference.curve.in_ not in ("world", "self"):
             names.frame(reference.curve.in_, ("references", name, reference.kind, "in"), fixed=True)
     for name, contact in spec.contacts.items():
-        names.frame(contact.frame, ("contacts", name, "frame"), moves=True)
+        names.frame(contact.frame, ("contacts", name, "frame"), moves=True, body=True)
         if contact.on is not None:
             names.frame(contact.on, ("contacts", name, "on"), fixed=True)
         for screw, motion in (contact.free or {}).items():
             if motion.screw.through != "self":
                 names.frame(motion.screw.through, ("contacts", name, "free", screw, "screw", "through"), True)
     for name, task in spec.tasks.items():
-        if isinstance(task, specs.MotionTask) and task.frame is not None:
-            names.frame(task.frame, ("tasks", name, "frame"), moves=True)
+        if isinstance(task, MOVING) and task.frame is not None:
+            names.frame(task.frame, ("tasks", name, "frame"), moves=True, body=not isinstance(task, specs.MotionTask))
         if isinstance(task, specs.PostureTask):
             names.pose(task.target, ("tasks", name, "target"), "start")
     if spec.plant.payload_at is not None:
         names.frame(spec.plant.payload_at, ("plant", "payload_at"), moves=True)
+    for name, push in spec.plant.pushes.items():
+        names.frame(push.frame, ("plant", "pushes", name, "frame"), moves=True, body=True)
+    for body in spec.plant.moves:
+        names.mocap(body, ("plant", "moves", body))
     if spec.start is not None:
         names.pose(spec.start, ("start",))
     for limit in ("torque", "torque_rate", "velocity"):
@@ -107,7 +113,7 @@ class _Names:
     robot: Robot
     faults: Faults
 
-    def frame(self, name: str, path: Place, fixed: bool = False, moves: bool = False) -> None:
+    def frame(self, name: str, path: Place, fixed: bool = False, moves: bool = False, body: bool = False) -> None:
         """Frames are named by the robot, its tool and the scene; those that are left out may be what is wrong."""
         if name not in self.robot.frames:
             known = [frame for frame in self.robot.frames if frame != "universe"]
@@ -121,8 +127,16 @@ class _Names:
                 self.robot.fixed_pose(name)
         elif moves and not frame.parentJoint:
             self.faults.add(path, f"frame {name!r} is fixed to the world; expected one of the robot or its tool")
-        elif path[0] == "contacts" and frame.type == pin.FrameType.JOINT:
+        elif body and frame.type == pin.FrameType.JOINT:
             self.faults.add(path, f"frame {name!r} is that of a joint; expected a body or a site")
+
+    def mocap(self, name: str, path: Place) -> None:
+        """A body that the simulator can move by hand."""
+        mj = self.robot.mujoco
+        known = [mj.body(i).name for i in range(mj.nbody) if mj.body_mocapid[i] >= 0] if mj is not None else []
+        if name not in known:
+            hint = did_you_mean(name, known) or '; expected one with mocap="true", of which the scene has none'
+            self.faults.add(path, f"no mocap body named {name!r}{hint}")
 
     def pose(self, pose: str | Mapping[str, float], path: Place, *more: str) -> None:
         known = [*self.robot.keyframes, *more]

@@ -11,11 +11,14 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from . import analytic
 from .contact import Contact
 from .controller import Memory, Phase
+from .impedance import NEW, AdmittanceTask, Compliance, Felt
 from .qp import Array
+from .reference import Sample
 from .robot import Robot, State
 from .task import ForceLoop, ForceTask, MotionTask, PostureTask
 from .wrench import Wrench
@@ -24,7 +27,7 @@ Law = Literal["compensated", "book"]
 
 
 class Dynamics(NamedTuple):
-    """What the closed form needs of the robot at a state: M, h, and of the task frame J, drift, V and T (4, 4)."""
+    """What the closed form needs of the robot at a state: M, h, g, and of the task frame J, drift, V and T (4, 4)."""
 
     M: Array
     h: Array
@@ -32,6 +35,7 @@ class Dynamics(NamedTuple):
     drift: Array
     V: Array
     T: Array
+    g: Array
 
 
 def closed_form(
@@ -45,22 +49,33 @@ def closed_form(
 ) -> tuple[Array, Array, dict[str, Array]]:
     """Torque of the book's law, and the acceleration and multipliers with which a rigid contact answers it."""
     motions = motion_tasks(phase)
-    frames = [task.frame for task in motions] or [contact.frame for contact in phase.contacts.values()]
+    compliant = phase.compliant
+    frames = [task.frame for task in motions] + [task.frame for task in compliant.values()]
+    frames += [contact.frame for contact in phase.contacts.values()]
     known = np.zeros(robot.nv)
     for name in set(phase.fed) & set(given):
         contact = phase.contacts[name]
         known += dynamics(contact.frame).J.T @ _known(contact, state, given[name].F)
-    dynamics = _loaded(dynamics, known)
+    felt = {name: _felt(task, name, state, memory, given) for name, task in compliant.items()}
+    carried = set(phase.fed)
+    for name, task in compliant.items():
+        F, place = felt[name].F, task.contact or task.frame
+        if F is not None and task.carries and place not in carried:
+            carried.add(place)
+            A = np.zeros((0, 6)) if task.contact is None else phase.contacts[task.contact].A(state)
+            known += dynamics(task.frame).J.T @ analytic.wrench_residual(A, F)
+    dynamics = _loaded(dynamics, known, phase.gravity_only)
     base = dynamics(frames[0])
     posture = next((task for task in phase.tasks.values() if isinstance(task, PostureTask)), None)
     vdot_posture = np.zeros(robot.nv) if posture is None else posture.Kp @ (posture.q - state.q) - posture.Kd @ state.v
     commands = {name: _command(phase, name, law, state, dynamics, memory, given) for name in phase.contacts}
     held = {name: (contact.A(state), dynamics(contact.frame)) for name, contact in phase.contacts.items()}
     adot = {name: contact.Adot_V(state) for name, contact in phase.contacts.items()}
-    if len(motions) == 1 and len(held) == 1 and motions[0].contact in held:
+    rows = [_compliance(phase, task, felt[name], state, dynamics, held) for name, task in compliant.items()]
+    if len(motions) == 1 and len(held) == 1 and motions[0].contact in held and not rows:
         tau = _hybrid(robot, phase, law, state, motions[0], held, adot, commands, dynamics, vdot_posture)
     else:
-        tau = _stacked(phase, law, state, motions, held, adot, commands, dynamics, base, vdot_posture)
+        tau = _stacked(phase, law, state, motions, held, adot, commands, dynamics, base, vdot_posture, rows)
     reactions = {name: A.T for name, (A, _) in held.items()}
     for name, contact in phase.contacts.items():
         if contact.pushes is not None and contact.pushes.modelled:
@@ -81,12 +96,12 @@ def closed_form(
     return tau, answer[: robot.nv], lam
 
 
-def _loaded(dynamics: Callable[[str], Dynamics], known: Array) -> Callable[[str], Dynamics]:
-    """The same with h counting the torque of known wrenches."""
+def _loaded(dynamics: Callable[[str], Dynamics], known: Array, gravity_only: bool) -> Callable[[str], Dynamics]:
+    """The same with h counting the torque of known wrenches, and of the arm's own all or its weight alone."""
 
     def of(name: str) -> Dynamics:
         d = dynamics(name)
-        return d._replace(h=d.h + known)
+        return d._replace(h=(d.g if gravity_only else d.h) + known)
 
     return of
 
@@ -115,7 +130,7 @@ def _sliding_map(contact: Contact, state: State, A: Array, dynamics: Dynamics) -
     d, slides = _across(contact, state)
     v_d = np.zeros(3)
     if pushes.guide is not None:
-        desired = pushes.guide(state.t)
+        desired = pushes.guide(state)
         v_d = dynamics.T[:3, :3].T @ desired.T.rotation @ desired.V[3:]
     u = analytic.sliding_direction(slides @ dynamics.V[3:], slides @ v_d, pushes.slip)
     return analytic.sliding_map(A, d, u @ slides, pushes.mu)
@@ -127,6 +142,59 @@ def _pressed(law: Law, A: Array, d: Dynamics, F: Array, Adot_V: Array) -> Array:
         return analytic.multiplier_error(A, F)
     G = A @ d.J
     return analytic.dynamically_consistent_inverse(d.M, G).T @ d.J.T @ F + analytic.task_inertia(d.M, G) @ Adot_V
+
+
+def _felt(task: Compliance, name: str, state: State, memory: Memory, given: dict[str, Wrench]) -> Felt:
+    """What a task feels at this tick, from what it remembers of the last."""
+    last = memory.felt.get(name, NEW)
+    wrench = given.get(task.contact or name)
+    return task.feel(state, None if wrench is None else wrench.at(state, task.frame), memory.tau, last)
+
+
+def _compliance(
+    phase: Phase, task: Compliance, felt: Felt, state: State, dynamics: Any, held: Any
+) -> tuple[Array, Array, Array]:
+    """Rows, target and drift of an impedance or admittance: the book's accelerations along the axes of the task."""
+    d = dynamics(task.frame)
+    S = task.selection(state) if task.contact is None else phase.contacts[task.contact].free(state)
+    G = S @ d.J
+    X_e, V_e, ahead = (S @ part for part in _errors(task, d.T, d.V, task.desired(state)))
+    f_ext = np.zeros(len(S)) if felt.F is None else -np.linalg.pinv(S).T @ felt.F
+    if isinstance(task, AdmittanceTask) and not task.printed:
+        assert felt.T is not None
+        assert felt.motion is not None
+        parts = _errors(task, d.T, d.V, Sample(pin.SE3(felt.T), felt.motion))
+        X_e, V_e, ahead = (S @ part for part in parts)
+        return G, ahead + task.Kp @ X_e + task.Kd @ V_e, S @ d.drift
+    if not task.massless and task.source != "acceleration":
+        return G, ahead + analytic.admittance_acceleration(task.M, task.B, task.K, f_ext, -V_e, -X_e), S @ d.drift
+    rows = np.concatenate([np.zeros((0, d.h.size)), *(A @ each.J for A, each in held.values())])
+    free = np.linalg.inv(d.M)
+    if len(rows):
+        free -= free @ rows.T @ np.linalg.solve(rows @ free @ rows.T, rows @ free)
+    W = G @ free @ G.T
+    if task.massless:
+        Lam = np.linalg.inv(W)
+        y = analytic.impedance_acceleration(Lam, task.B, task.K, -V_e, -X_e, np.zeros(len(S)), Lam)
+        return G, ahead + y, np.zeros(len(S)) if phase.gravity_only else S @ d.drift
+    past = np.zeros(len(S)) if felt.Vdot is None else S @ felt.Vdot - ahead
+    # book 11.66 along the axes: Lam y = (Lam - M) xdd - B xd - K x
+    return G, ahead + past + W @ (task.B @ V_e + task.K @ X_e - task.M @ past), S @ d.drift
+
+
+def _errors(task: Compliance | MotionTask, T: Array, V: Array, desired: Sample) -> tuple[Array, Array, Array]:
+    """(6,), (6,), (6,): X_e, V_e and d/dt(Ad V_d), by the book's log or in the world's axes."""
+    T_d, V_d = desired.T.homogeneous, desired.V
+    if not task.split:
+        ahead = analytic.computed_torque(T, V, T_d, V_d, desired.Vdot, 0.0, 0.0)
+        return analytic.pose_error(T, T_d), analytic.twist_error(T, V, T_d, V_d), ahead
+    turned, turned_d = np.eye(4), np.eye(4)
+    turned[:3, :3], turned_d[:3, :3] = R, R_d = T[:3, :3], T_d[:3, :3]
+    pddot = R_d @ (desired.Vdot[3:] + np.cross(V_d[:3], V_d[3:]))  # of the origin, in the world
+    X_e = np.r_[analytic.pose_error(turned, turned_d)[:3], R.T @ (T_d[:3, 3] - T[:3, 3])]
+    V_e = np.r_[R.T @ R_d @ V_d[:3], R.T @ R_d @ V_d[3:]] - V
+    wdot = R.T @ R_d @ desired.Vdot[:3] - np.cross(V[:3], R.T @ R_d @ V_d[:3])
+    return X_e, V_e, np.r_[wdot, R.T @ pddot - np.cross(V[:3], V[3:])]
 
 
 def _hybrid(
@@ -165,6 +233,7 @@ def _stacked(
     dynamics: Any,
     base: Dynamics,
     vdot_posture: Array,
+    more: Any,
 ) -> Array:
     """Contacts and motion that do not span one task space: fact 9, all rows stacked."""
     G, target, drift = [], [], []
@@ -178,6 +247,10 @@ def _stacked(
         G.append(S @ d.J)
         target.append(S @ _motion(task, state, d))
         drift.append(S @ d.drift)
+    for rows, wanted, velocity in more:
+        G.append(rows)
+        target.append(wanted)
+        drift.append(velocity)
     n = base.h.size
     rows = np.concatenate([np.zeros((0, n)), *G])
     vdot = analytic.hybrid_acceleration(
@@ -200,6 +273,9 @@ def _stacked(
 
 def _motion(task: MotionTask, state: State, d: Dynamics) -> Array:
     desired = task.desired(state)
+    if task.split:
+        X_e, V_e, ahead = _errors(task, d.T, d.V, desired)
+        return ahead + task.Kp @ X_e + task.Kd @ V_e
     T_d, V_d = desired.T.homogeneous, desired.V
     feedforward = analytic.computed_torque(d.T, d.V, T_d, V_d, desired.Vdot, 0.0, 0.0)
     # gains on some axes are only semidefinite as (6, 6), which `computed_torque` refuses

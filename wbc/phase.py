@@ -15,6 +15,7 @@ import numpy as np
 from .contact import Contact
 from .dynamics import gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
+from .impedance import AdmittanceTask, Compliance, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .robot import Robot, State
@@ -42,6 +43,22 @@ class Phase:
         """Contacts whose measured wrench is fed forward along the free axes."""
         return tuple(name for name, contact in self.contacts.items() if contact.feedforward == "measured")
 
+    @cached_property
+    def compliant(self) -> dict[str, Compliance]:
+        """Impedance and admittance tasks, by name."""
+        return {name: task for name, task in self.tasks.items() if isinstance(task, Compliance)}
+
+    @cached_property
+    def feeling(self) -> dict[str, str]:
+        """What a measured wrench may be given for, and the frame at which it is wanted: contacts, and tasks without."""
+        tasks = {n: t.frame for n, t in self.compliant.items() if t.contact is None and t.source == "measured"}
+        return {name: contact.frame for name, contact in self.contacts.items()} | tasks
+
+    @cached_property
+    def gravity_only(self) -> bool:
+        """Whether a task wants the arm's weight cancelled and nothing else."""
+        return any(isinstance(task, ImpedanceTask) and task.gravity_only for task in self.compliant.values())
+
 
 def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any], limits: Mapping[str, Any]) -> Phase:
     """A phase from what `Controller` is given: tasks, or pairs of a task and its weight. Raises WbcError."""
@@ -61,7 +78,7 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
     state = State(start.robot, start.data, start.q, start.v)
     hold(state, phase)
     rows = [held.G for held in state.contacts.values()]
-    rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, MotionTask)]
+    rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, MotionTask | Compliance)]
     rank = np.linalg.matrix_rank(np.concatenate(rows)) if rows else 0
     postures = [name for name, task in phase.tasks.items() if isinstance(task, PostureTask)]
     tasks = dict(phase.tasks)
@@ -109,12 +126,18 @@ class Program:
                 f"{len(self.above)} tasks of motion; use law: compensated"
             )
         # motion and posture of equal weight are one least squares problem in M
-        self.merged: tuple[MotionTask, PostureTask, float] | None = None
-        if self.single and len(self.posture) == 1:
-            names = [*self.motion, *self.posture]
-            own = type(self.motion[names[0]]) is MotionTask and type(self.posture[names[1]]) is PostureTask
-            if own and phase.weights[names[0]] == phase.weights[names[1]]:
-                self.merged = (self.motion[names[0]], self.posture[names[1]], phase.weights[names[0]])
+        self.merged: tuple[list[Any], PostureTask, float] | None = None
+        compliant = bool(phase.compliant) and len(self.motion) + len(phase.compliant) == len(self.above)
+        if (self.single or compliant) and len(self.posture) == 1:
+            names = [*self.above, *self.posture]
+            own = {type(phase.tasks[name]) for name in names} <= {
+                MotionTask,
+                ImpedanceTask,
+                AdmittanceTask,
+                PostureTask,
+            }
+            if own and len({phase.weights[name] for name in names}) == 1:
+                self.merged = (list(self.above.values()), self.posture[names[-1]], phase.weights[names[0]])
         state = State(start.robot, start.data, start.q, start.v)
         hold(state, phase)
         sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
@@ -181,8 +204,8 @@ class Program:
         """Rows of all tasks with their weights."""
         weights = self.phase.weights
         if self.merged is not None:
-            motion, posture, weight = self.merged
-            G, b = motion.stack(state)
+            above, posture, weight = self.merged
+            G, b = above[0].stack(state) if self.single else _stacked(state, above)
             rows, K = gauss(state, G, b, posture.acceleration(state))
             state.primary = (G, _NO_METRIC, K)
             costs = [(rows, weight)]
@@ -231,6 +254,14 @@ class Program:
                 label = self.phase.joint.name(joints.index(joint), bool(z[i] > 0.0), state.q)
             names.append(label)
         return tuple(dict.fromkeys(names)) if self.pushing else tuple(names)
+
+
+def _stacked(state: State, tasks: Sequence[Any]) -> tuple[Array, Array]:
+    """Rows of the contacts, then of all tasks: G vdot = b."""
+    own = [task.target(state) for task in tasks]
+    held = list(state.contacts.values())
+    G = np.concatenate([h.G for h in held] + [rows for rows, _ in own])
+    return G, np.concatenate([h.rhs for h in held] + [rhs for _, rhs in own])
 
 
 def _fill(workspace: Workspace, costs: Sequence[tuple[Rows, float]], hard: Sequence[Rows]) -> bool:

@@ -96,6 +96,22 @@ def quintic(times: Sequence[float], values: Sequence[float]) -> Scalar:
     return sample
 
 
+def arc(radius: float, heading: Scalar) -> dict[int, Scalar]:
+    """wz, vx, vy of a motion along an arc through the origin, headed along it: x = r sin a, y = r (1 - cos a)."""
+
+    def x(t: float) -> tuple[float, float, float]:
+        a, rate, bend = heading(t)
+        s, c = radius * math.sin(a), radius * math.cos(a)
+        return s, c * rate, c * bend - s * rate * rate
+
+    def y(t: float) -> tuple[float, float, float]:
+        a, rate, bend = heading(t)
+        s, c = radius * math.sin(a), radius * math.cos(a)
+        return radius - c, s * rate, s * bend + c * rate * rate
+
+    return {2: heading, 3: x, 4: y}
+
+
 _ROTATIONS = (2, 1, 0)  # about z, then y, then x
 ALL_AXES = frozenset(range(6))
 

@@ -34,11 +34,11 @@ class State:
 
     Attributes: t [s], dt [s], q (nq,), v (nv,), M (nv, nv), h (nv,) with Coriolis, centrifugal, gravity and joint
     damping; `bias` (nv,) [N m], h and the torque of wrenches that are known. `frame(name)` is a `Frame`. `contacts`,
-    `measured`, `targets` and `loops` are filled by the controller: what the contacts demand, the wrenches measured
-    (6,), the targets set from outside, and the force loops' memory; `primary` is (G, W, K), all rows of contacts and
-    motion tasks, their inertia and mobility: the posture stays out of them; `starts`: task -> `Start`, how its
-    reference was taken up, for those that began after the run did. Valid until the next state is computed from the same
-    `data`.
+    `measured`, `targets`, `loops` and `felt` are filled by the controller: what the contacts demand, the wrenches
+    measured (6,), the targets set from outside, the force loops' memory, and what tasks feel of a push; `primary` is
+    (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of them;
+    `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did. Valid until the
+    next state is computed from the same `data`.
     """
 
     __slots__ = (
@@ -49,6 +49,7 @@ class State:
         "contacts",
         "data",
         "dt",
+        "felt",
         "h",
         "loops",
         "measured",
@@ -71,6 +72,7 @@ class State:
         self.measured: dict[str, Array] = {}
         self.targets: dict[str, float] = {}
         self.loops: dict[str, Any] = {}
+        self.felt: dict[Any, Any] = {}
         self.primary: tuple[Array, Array, Array] = _NO_ROWS
         self.starts: Mapping[Any, Any] = _NO_STARTS
         self._frames: dict[str, Frame] = {}

@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +17,18 @@ from . import analytic, material
 from .build import Built
 from .contact import Contact
 from .controller import Controller, Output, Status
+from .dynamics import mobility, unheld
 from .errors import SimulationError
+from .impedance import Compliance
 from .log import Log
 from .metrics import metrics
 from .model import quietly
+from .response import Bode, described, responses
 from .robot import State
 from .sim import Observation, Simulator, Touch
 from .task import ForceTask, MotionTask
 from .transition import STOP
+from .wrench import Wrench
 
 STATUS_NAMES = [status.name for status in Status]
 
@@ -35,19 +39,22 @@ class Result:
 
     log: Log
     summary: dict[str, Any]
+    responses: dict[str, Bode] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
         return bool(self.summary["ok"])
 
     def write(self, folder: Path) -> None:
-        """`log.npz`, `summary.json` and `report.png` in `folder`."""
-        from .plot import report
+        """`log.npz`, `summary.json`, `report.png`, and where there are frequency responses `bode.png`, in `folder`."""
+        from .plot import bode_plot, report
 
         folder.mkdir(parents=True, exist_ok=True)
         self.log.save(folder / "log.npz")
         (folder / "summary.json").write_text(json.dumps(self.summary, indent=1) + "\n")
         report(self.log, self.summary, folder / "report.png")
+        if self.responses:
+            bode_plot(self.responses, str(self.log.meta.get("title", "")), folder / "bode.png")
 
 
 Hook = Callable[[Observation, Output], None]
@@ -70,6 +77,8 @@ def run(
     simulator = Simulator(built.robot, built.q, dt, spec.plant, seed)
     log = Log(ticks, _meta(built, seed))
     controller.reset(built.q, np.zeros(built.robot.nv))
+    if spec.tare:
+        simulator.tare(controller.state)
     broken, began = "", time.perf_counter()
     gc.collect()
     gc.freeze()  # what is built stays: the collector need not look at it every tick
@@ -81,24 +90,28 @@ def run(
     finally:
         gc.unfreeze()
     notes = [*built.notes, *_validity(built, log, simulator.model)]
-    return Result(log, _summary(built, log, time.perf_counter() - began, broken, notes))
+    summary = _summary(built, log, time.perf_counter() - began, broken, notes)
+    return Result(log, summary, responses(log, built.phases) if not broken else {})
 
 
 def _loop(
     built: Built, simulator: Simulator, log: Log, ticks: int, progress: Any, hook: Hook | None, show: Any
 ) -> None:
-    controller, measured = built.controller, None
+    controller = built.controller
+    before: tuple[Observation, Output, State] | None = None
     contacts = {name: contact for phase in built.phases for name, contact in phase.contacts.items()}
+    feeling = {name: frame for phase in built.phases for name, frame in phase.feeling.items()}
     touched = dict.fromkeys(contacts, True)
     for tick in range(ticks):
         seen = simulator.observe()
-        given = dict.fromkeys(contacts, measured) if measured is not None else None
-        before = time.perf_counter()
+        measured = _measured(simulator, controller, before, seen)
+        given = dict.fromkeys(feeling, measured) if measured is not None else None
+        began = time.perf_counter()
         out = controller.step(seen.t, seen.q, seen.v, measured=given)
-        took = time.perf_counter() - before
+        took = time.perf_counter() - began
         simulator.apply(out.tau)
         true = {name: simulator.true_touch(contact.frame) for name, contact in contacts.items()}
-        measured = simulator.measured(controller.state, out.vdot)
+        before = (seen, out, controller.state)
         row = _row(controller, seen, out, took) | _contact_rows(controller, out, contacts, true)
         for name, contact in contacts.items():
             touching = bool(true[name].F.any())
@@ -106,6 +119,7 @@ def _loop(
                 row[f"{name}.predicted_peak"] = _predicted_peak(simulator, controller.state, contact.frame)
             touched[name] = touching
         log.append(out.active, **row)
+        _record_pushes(log, controller, simulator)
         _note_phase(log, controller, seen.t, out)
         if hook is not None:
             hook(seen, out)
@@ -135,6 +149,39 @@ def _note_phase(log: Log, controller: Controller, t: float, out: Output) -> None
     name = STOP if memory.why and out.status is Status.STOPPED else phase.name
     if not changes or changes[-1]["name"] != name:
         changes.append({"name": name, "start": t, "why": memory.why})
+
+
+def _measured(
+    simulator: Simulator, controller: Controller, before: tuple[Observation, Output, State] | None, seen: Observation
+) -> Wrench | None:
+    """The wrist sensor's wrench of the last tick. A push that the model cannot predict moves the tool as well: then
+    its acceleration is that of the joints' velocities, else the one that the controller asked for."""
+    if before is None:
+        return None
+    then, out, state = before
+    vdot = (seen.v - then.v) / (seen.t - then.t) if controller.phase.compliant else out.vdot
+    return simulator.measured(state, vdot)
+
+
+def _record_pushes(log: Log, controller: Controller, simulator: Simulator) -> None:
+    """The true pushes, and the true motion that compliant tasks answer them with."""
+    state, row = controller.state, dict[str, Any]()
+    for name in simulator.pushes:
+        row[f"{name}.true"] = simulator.true_push(name)
+        row[f"{name}.mobility"] = unheld(state, state.frame(simulator.pushes[name]).J)
+    for name, task in controller.phase.compliant.items():
+        (T, V), desired, S = simulator.true_motion(task.frame), task.desired(state), task.selection(state)
+        X_e, V_e, ahead = task.errors(T, V, desired)
+        lift = np.linalg.pinv(S)
+        row |= {f"{name}.displacement": -S @ X_e, f"{name}.rate": -S @ V_e, f"{name}.mobility": task.mobility(state)}
+        row |= {f"{name}.twist": S @ V, f"{name}.ahead": S @ ahead}
+        row |= {f"{name}.external": -lift.T @ simulator.true_external(task.frame), f"{name}.felt": task.push(state)}
+        row |= {f"{name}.error": lift @ (S @ X_e), f"{name}.speed": np.linalg.norm(V[3:])}
+        row |= {f"{name}.position": T.translation, f"{name}.desired": desired.T.translation}
+    for name, held in state.contacts.items() if simulator.moves else ():
+        T, _ = simulator.true_motion(held.frame)
+        row |= {f"{name}.place": T.translation, f"{name}.mobility": mobility(state, held.G)}
+    log.put(**row)
 
 
 def _row(controller: Controller, seen: Observation, out: Output, took: float) -> dict[str, Any]:
@@ -170,6 +217,7 @@ def _contact_rows(
         inverse = contact.pseudo_inverse(contact.A(state)) if held is None else held.inverse
         row |= {f"{name}.true": true[name].F, f"{name}.lam": inverse @ true[name].F}
         row[f"{name}.carried"] = (contact.A(state) if held is None else held.A).T @ row[f"{name}.lam"]
+        row[f"{name}.rate"] = np.full(contact.k, np.nan) if held is None else held.slip
         row |= {f"{name}.points": true[name].points, f"{name}.mu": true[name].mu}
         if held is not None and contact.pushes is not None:
             told = contact.pushes.told(contact, state, true[name].F)
@@ -194,9 +242,11 @@ def _meta(built: Built, seed: int) -> dict[str, Any]:
         "q_max": np.minimum(robot.q_max, 1e9).tolist() if finite else [],
         "contacts": {name: list(c.axes) for phase in built.phases for name, c in phase.contacts.items()},
         "motions": list(
-            {name: 0 for phase in built.phases for name, t in phase.tasks.items() if isinstance(t, MotionTask)}
+            {name: 0 for phase in built.phases for name, t in phase.tasks.items()
+             if isinstance(t, MotionTask | Compliance)}
         ),
         "phases": [phase.name for phase in built.phases], "changes": [],
+        **described(built.spec.plant),
     }  # fmt: skip
 
 

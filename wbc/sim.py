@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import mujoco
@@ -15,7 +15,7 @@ from .errors import ModelError, SimulationError
 from .model import body_name, quietly, to_pinocchio
 from .qp import Array
 from .robot import Robot, State
-from .wrench import ForceSensor, Wrench
+from .wrench import WRENCH_AXES, ForceSensor, Wrench
 
 SENSORS = ("wrist_torque", "wrist_force")
 
@@ -50,7 +50,7 @@ class Simulator:
 
     Parameters: the robot (it is not changed), the start `q`, the control period `dt` [s], `plant`: what only the
     simulator knows (payload [kg], mass_error, joint_friction [N m], contact_friction, armature [kg m^2], delay [ticks],
-    noise), and the seed of the noise.
+    noise, pushes on the robot, moves of mocap bodies), and the seed of the noise.
     """
 
     def __init__(self, robot: Robot, q: Array, dt: float, plant: Any = None, seed: int = 0) -> None:
@@ -70,9 +70,11 @@ class Simulator:
         self._sensor = ForceSensor(robot) if all(_has_sensor(self.model, name) for name in SENSORS) else None
         self._motors = _actuators(self.model, self._own_v)
         self._driver = robot.model.createData()
+        self._outside = Outside(self.model, plant)
 
     def observe(self) -> Observation:
         """Kinematics at the present state, as the encoders see it."""
+        self._outside.move(self.data)
         mujoco.mj_step1(self.model, self.data)
         q, v = self._state()
         if self._noise is not None and (self._noise.position or self._noise.velocity):
@@ -93,7 +95,9 @@ class Simulator:
         self._delayed.append(tau)
         for step in range(self.substeps):
             if step:
+                self._outside.move(self.data)
                 mujoco.mj_step1(self.model, self.data)
+            self._outside.push(self.data)
             motors, dofs, gear = self._motors
             self.data.ctrl[motors] = self._delayed[0][dofs] / gear
             mujoco.mj_step2(self.model, self.data)
@@ -111,17 +115,60 @@ class Simulator:
 
         `state` and `vdot` are the controller's for that tick: a real sensor's driver knows no more.
         """
-        if self._sensor is None:
-            return None
+        return None if self._sensor is None else self._sensor.compensated(self._reading(), state, vdot)
+
+    def tare(self, state: State) -> None:
+        """Take what the wrist sensor reads at `state`, beyond the tool's load, off all later readings."""
+        if self._sensor is not None:
+            mujoco.mj_forward(self.model, self.data)
+            self._sensor = self._sensor.tare(self._reading(), state, self.data.qacc)
+
+    def _reading(self) -> Array:
         reading = np.concatenate([self.data.sensor(name).data for name in SENSORS])
-        if self._noise is not None and (self._noise.force or self._noise.moment):
-            reading[:3] += self._rng.normal(0.0, 1.0, 3) * self._noise.moment
-            reading[3:] += self._rng.normal(0.0, 1.0, 3) * self._noise.force
-        return self._sensor.compensated(reading, state, vdot)
+        if self._noise is not None:
+            reading += (*self._noise.bias.moment, *self._noise.bias.force)
+            if self._noise.force or self._noise.moment:
+                reading[:3] += self._rng.normal(0.0, 1.0, 3) * self._noise.moment
+                reading[3:] += self._rng.normal(0.0, 1.0, 3) * self._noise.force
+        return reading
+
+    @property
+    def pushes(self) -> dict[str, str]:
+        """Name -> frame of the pushes."""
+        return {name: push.frame for name, push in self._outside.pushes.items()}
+
+    @property
+    def moves(self) -> bool:
+        """Whether a body of the scene is moved."""
+        return bool(self._outside.moves)
+
+    def true_push(self, name: str) -> Array:
+        """(6,) what the robot applied to whoever pushes it in the last tick, at the frame of the push."""
+        return -self._outside.wrenches[name]
+
+    def true_external(self, frame: str) -> Array:
+        """(6,) all that the body of `frame` applied to its environment in the last tick, contacts and pushes, there."""
+        F = self.true_wrench(frame)
+        own, R, p = _body(self.model, self.data, frame)
+        for name, push in self._outside.pushes.items():
+            body, R_push, p_push = _body(self.model, self.data, push.frame)
+            if body == own:
+                m, f = (R_push @ part for part in self.true_push(name).reshape(2, 3))
+                F += np.concatenate((R.T @ (m + np.cross(p_push - p, f)), R.T @ f))
+        return F
+
+    def true_motion(self, frame: str) -> tuple[pin.SE3, Array]:
+        """Pose, and body twist (6,), of a frame in the last tick."""
+        body, R, p = _body(self.model, self.data, frame)
+        at_site = _has_site(self.model, frame)
+        kind = mujoco.mjtObj.mjOBJ_SITE if at_site else mujoco.mjtObj.mjOBJ_XBODY
+        twist = np.zeros(6)
+        mujoco.mj_objectVelocity(self.model, self.data, kind, self.model.site(frame).id if at_site else body, twist, 1)
+        return pin.SE3(R.copy(), p.copy()), twist
 
     def impact(self, frame: str) -> Impact | None:
         """The one point in which the body of `frame` touches its environment; None where there are none or several."""
-        body, found = self._body(frame), list[Impact]()
+        (body, *_), found = _body(self.model, self.data, frame), list[Impact]()
         for i in range(self.data.ncon):
             contact = self.data.contact[i]
             owners = [self.model.geom_bodyid[g] for g in contact.geom]
@@ -131,9 +178,6 @@ class Simulator:
                 R = float(self.data.efc_R[contact.efc_address])
                 found.append(Impact(normal, float(stiffness * impedance), float(damping), R))
         return found[0] if len(found) == 1 else None
-
-    def _body(self, frame: str) -> int:
-        return int(self.model.site(frame).bodyid[0] if _has_site(self.model, frame) else self.model.body(frame).id)
 
     def true_wrench(self, frame: str) -> Array:
         """(6,) what the body of `frame` applied to its environment in the last tick, in that frame; unfiltered.
@@ -145,12 +189,7 @@ class Simulator:
 
     def true_touch(self, frame: str) -> Touch:
         """The true wrench of the body of `frame` with what a wrench cannot tell."""
-        body = self._body(frame)
-        if _has_site(self.model, frame):
-            site = self.model.site(frame)
-            R, p = self.data.site_xmat[site.id].reshape(3, 3), self.data.site_xpos[site.id]
-        else:
-            R, p = self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
+        body, R, p = _body(self.model, self.data, frame)
         F, force, points, mu = np.zeros(6), np.zeros(6), 0, 0.0
         rigid = self.robot.mujoco.body_weldid
         for i in range(self.data.ncon):
@@ -203,6 +242,68 @@ class Simulator:
                     mujoco.mju_mulQuat(product, turn, q[0])
                     m[k] = 0.5 * model.eq_data[i, 10] * product[1:] @ data.efc_force[own[3:]]
             yield data.site_xpos[sites[0]], m, f, model.site_bodyid[list(sites)]
+
+
+class Outside:
+    """What acts from outside: wrenches on the robot at their frames, bodies of the scene that are moved by hand.
+
+    `wrenches` name -> (6,) what the environment applies to the robot, at the frame and in its axes, in the last step.
+    """
+
+    def __init__(self, model: mujoco.MjModel, plant: Any) -> None:
+        self.model = model
+        self.pushes = dict(plant.pushes) if plant is not None else {}
+        self.moves = dict(plant.moves) if plant is not None else {}
+        self._courses = {name: _courses(push.wrench) for name, push in self.pushes.items()}
+        self._home = model.body_pos.copy()
+        self.wrenches = {name: np.zeros(6) for name in self.pushes}
+
+    def push(self, data: mujoco.MjData) -> None:
+        """The forces of this step; in MuJoCo they act at a body's centre of mass, so the moment is moved there."""
+        if not self.pushes:
+            return
+        data.xfrc_applied[:] = 0.0
+        for name, push in self.pushes.items():
+            F = self.wrenches[name] = np.zeros(6)
+            if push.from_ <= data.time < (np.inf if push.to is None else push.to):
+                for axis, course in self._courses[name].items():
+                    F[WRENCH_AXES.index(axis)] = course(data.time - push.from_)
+            body, R, p = _body(self.model, data, push.frame)
+            f = R @ F[3:]
+            data.xfrc_applied[body, :3] += f
+            data.xfrc_applied[body, 3:] += R @ F[:3] + np.cross(p - data.xipos[body], f)
+
+    def move(self, data: mujoco.MjData) -> None:
+        for body, move in self.moves.items():
+            index = self.model.body(body).id
+            along = np.array(move.along) / np.linalg.norm(np.array(move.along))
+            shift = sines(move.sine)(data.time - move.from_) if data.time >= move.from_ else 0.0
+            data.mocap_pos[self.model.body_mocapid[index]] = self._home[index] + shift * along
+
+
+def sines(sine: Any) -> Callable[[float], float]:
+    """A sum of sines from the spec; the phases of several (Schroeder's, -pi k (k - 1)/n) keep its peak low."""
+    omega = 2.0 * np.pi * np.array(sine.frequencies)
+    k = np.arange(omega.size)
+    phase = -np.pi * k * (k - 1) / k.size if k.size > 1 else np.zeros(1)
+    return lambda t: float(sine.amplitude * np.sin(omega * t + phase).sum())
+
+
+def _courses(wrench: Any) -> dict[str, Callable[[float], float]]:
+    return {axis: sines(value.sine) if hasattr(value, "sine") else _always(value) for axis, value in wrench.items()}
+
+
+def _always(value: float) -> Callable[[float], float]:
+    return lambda t: value
+
+
+def _body(model: mujoco.MjModel, data: mujoco.MjData, frame: str) -> tuple[int, Array, Array]:
+    """The body that carries a site, or is called so, and the frame's rotation and place."""
+    if _has_site(model, frame):
+        site = model.site(frame).id
+        return int(model.site_bodyid[site]), data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
+    body = int(model.body(frame).id)
+    return body, data.xmat[body].reshape(3, 3), data.xpos[body]
 
 
 def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:

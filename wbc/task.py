@@ -47,13 +47,33 @@ def computed_torque(frame: Frame, desired: Sample, K: Array) -> Array:
     return y
 
 
+def pose_errors(T: pin.SE3, V: Array, desired: Sample, split: bool = False) -> tuple[Array, Array, Array]:
+    """(6,), (6,), (6,): X_e, V_e = Ad V_d - V and d/dt(Ad V_d), in the axes of a frame at T that moves with V.
+
+    X_e = log(T^-1 T_d) and Ad = Ad_{T^-1 T_d} (book 11.37) turn and move along one screw. `split` has the rotation's
+    logarithm beside the straight way between the origins, R'(p_d - p), and with it Ad = blkdiag(R'R_d, R'R_d).
+    """
+    X, (w, v) = T.actInv(desired.T), (V[:3], V[3:])
+    if split:
+        R, (w_d, v_d), (wdot, vdot) = X.rotation, desired.V.reshape(2, 3), desired.Vdot.reshape(2, 3)
+        X_e = np.concatenate((pin.log3(R), X.translation))
+        V_e = np.concatenate((R @ w_d - w, R @ v_d - v))
+        ahead = np.concatenate((R @ wdot - np.cross(w, R @ w_d), R @ (vdot + np.cross(w_d, v_d)) - np.cross(w, v)))
+        return X_e, V_e, ahead
+    Ad = X.toActionMatrix()[_ANGULAR_FIRST]
+    V_d, ahead = Ad @ desired.V, Ad @ desired.Vdot
+    ahead[:3] -= np.cross(w, V_d[:3])
+    ahead[3:] -= np.cross(v, V_d[:3]) + np.cross(w, V_d[3:])
+    return pin.log6(X).vector[_ORDER], V_d - V, ahead
+
+
 class MotionTask:
     """SE(3) motion of a frame by computed torque, on selected axes.
 
     Parameters: `frame`; `reference` (t -> Sample); `kp` [1/s^2], `kd` [1/s]: numbers, vectors over the axes or
     matrices; `axes`: names from wx ... vz, or with `contact` the free motion of that contact. `law="book"` tracks the
     raw y on all axes that the robot has, in the metric M_C, as the book prints it; otherwise y is only asked of the
-    free axes, where the constraint says A y = -Adot V.
+    free axes, where the constraint says A y = -Adot V. `error`: "log", or "split" for straight lines (`pose_errors`).
     """
 
     def __init__(
@@ -66,8 +86,10 @@ class MotionTask:
         contact: str | None = None,
         law: str = "compensated",
         robot_axes: tuple[int, ...] = (0, 1, 2, 3, 4, 5),
+        error: str = "log",
     ) -> None:
         self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
+        self.split = error == "split"
         self.raw = law == "book" and contact is not None  # tracks the raw y of the book on all axes
         self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
         self.robot_axes = list(robot_axes)
@@ -109,10 +131,18 @@ class MotionTask:
         rows: Array = self.selection if self.contact is None else state.contacts[self.contact].free
         return rows
 
+    def acceleration(self, state: State) -> Array:
+        """(6,) y in the axes of the frame [rad/s^2, m/s^2]."""
+        frame, desired = state.frame(self.frame), self.desired(state)
+        if not self.split:
+            return computed_torque(frame, desired, self._K)
+        X_e, V_e, ahead = pose_errors(frame.T, frame.V, desired, split=True)
+        return np.asarray(ahead + self.Kp @ X_e + self.Kd @ V_e)
+
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (s, nv) and (s,)."""
         frame = state.frame(self.frame)
-        y = computed_torque(frame, self.desired(state), self._K)
+        y = self.acceleration(state)
         y -= frame.drift
         if self.raw:
             return frame.J[self.robot_axes], y[self.robot_axes]
@@ -126,7 +156,7 @@ class MotionTask:
             held: Held = state.contacts[self.contact]
             n, k = state.v.size, held.A.shape[0]
             b = held.bias.copy()
-            b[k:] += held.free.dot(computed_torque(state.frame(self.frame), self.desired(state), self._K))
+            b[k:] += held.free.dot(self.acceleration(state))
             return held.table[:, :n], b
         G, b = self.target(state)
         if not self.raw:
@@ -228,6 +258,8 @@ class ForceTask:
         measured, desired = state.measured.get(self.contact), self.desired(state)
         if measured is None:
             return _NEW_LOOP
+        if held.cone is not None:
+            desired, _ = held.cone.cut(desired)
         rest = lam - desired
         error = desired - held.inverse.dot(measured)
         if self._book:

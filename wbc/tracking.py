@@ -12,11 +12,15 @@ import numpy as np
 from . import spec as specs
 from .contact import AxesContact, Contact, SphereContact
 from .geometry import Geometry
+from .impedance import AdmittanceTask, Compliance, ImpedanceTask
+from .observer import MomentumObserver
 from .qp import Array
 from .reference import Reference, Scalar, constant
 from .robot import Robot
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .wrench import VELOCITY_AXES, WRENCH_AXES
+
+Axes = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,8 @@ class Tracking:
                         tasks[name] = force
                 elif isinstance(entry, specs.MotionTask):
                     tasks[name] = self._motion(name, entry)
+                elif isinstance(entry, specs.ImpedanceTask | specs.AdmittanceTask):
+                    tasks[name] = self._compliance(name, entry)
                 else:
                     kp, kd = (self._gain(entry, name, key, robot.joints) for key in ("kp", "kd"))
                     tasks[name] = PostureTask(_posture(robot, entry.target, q), kp, kd, robot.nv)
@@ -56,15 +62,35 @@ class Tracking:
         return np.array(value, float)
 
     def _motion(self, name: str, entry: specs.MotionTask) -> MotionTask:
-        frame = self.contacts[entry.contact].frame if entry.contact is not None else entry.frame
-        assert frame is not None
-        able = self.geometry.robot.axes(frame)
-        if entry.contact is not None:
-            axes = self.contacts[entry.contact].free_axes
-        else:
-            axes = tuple(VELOCITY_AXES[i] for i in able) if entry.axes == "all" else entry.axes
+        frame, axes = self._place(entry)
         kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
-        return MotionTask(frame, self.references[name], kp, kd, axes, entry.contact, self.geometry.spec.law, able)
+        law, able = self.geometry.spec.law, self.geometry.robot.axes(frame)
+        task = MotionTask(frame, self.references[name], kp, kd, axes, entry.contact, law, able, entry.error)
+        if entry.contact is not None and (pushes := self.contacts[entry.contact].pushes) is not None:
+            pushes.guide = task.desired
+        return task
+
+    def _place(self, entry: specs.MotionTask | specs.ImpedanceTask | specs.AdmittanceTask) -> tuple[str, Axes]:
+        """The frame of a task, and the axes or free motions along which it acts."""
+        if entry.contact is not None:
+            return self.contacts[entry.contact].frame, self.contacts[entry.contact].free_axes
+        assert entry.frame is not None
+        able = self.geometry.robot.axes(entry.frame)
+        return entry.frame, tuple(VELOCITY_AXES[i] for i in able) if entry.axes == "all" else entry.axes
+
+    def _compliance(self, name: str, entry: specs.ImpedanceTask | specs.AdmittanceTask) -> Compliance:
+        frame, axes = self._place(entry)
+        M, B, K = (self._gain(entry, name, key, axes) for key in ("M", "B", "K"))
+        source, cutoff = entry.source, entry.filter
+        observer = None
+        if source == "observer":
+            assert cutoff is not None
+            observer, cutoff = MomentumObserver(self.geometry.robot, cutoff), None
+        place = (frame, self.references[name], M, B, K, axes, entry.contact, entry.error, source, cutoff, observer)
+        if isinstance(entry, specs.ImpedanceTask):
+            return ImpedanceTask(*place, compensate=entry.compensate)
+        kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
+        return AdmittanceTask(*place, kp=kp, kd=kd, law=entry.law)
 
     def _force(self, name: str, entry: specs.ForceTask) -> ForceTask | None:
         contact = self.contacts[entry.contact]

@@ -14,11 +14,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from .build import Built, build
 from .controller import Controller, Memory, Phase, Status
+from .impedance import Compliance, Felt
 from .limit import TorqueLimit
 from .model import point_jacobian
+from .observer import Observed
 from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
 from .qp import Array
 from .robot import State
@@ -119,8 +122,8 @@ class Oracle:
         def tick(seen: Any, out: Any) -> None:
             if out.status in (Status.SAFE_HOLD, Status.STOPPED):
                 return  # no law runs any more
-            memory, contacts, measured = controller.recalled, controller.phase.contacts, controller.state.measured
-            given = {name: Wrench(F, contacts[name].frame) for name, F in measured.items() if name in contacts}
+            memory, feeling, measured = controller.recalled, controller.phase.feeling, controller.state.measured
+            given = {name: Wrench(F, feeling[name]) for name, F in measured.items() if name in feeling}
             if out.active or out.status.name != "OK":
                 certificate.lifted += count
                 self.free.memory = memory
@@ -147,10 +150,17 @@ class Oracle:
                 scale = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
                 loops[name] = ForceLoop(scale * rng.normal(size=6), rng.normal(size=size))
                 given[name] = Wrench(scale * rng.normal(size=6), phase.contacts[name].frame)
+            state, felt = self.built.robot.state(q, v, t), {}
+            for name, contact in phase.contacts.items():
+                state.contacts[name] = contact.hold(state)
+            for name, task in phase.compliant.items():
+                felt[name] = _any_felt(task, state, rng)
+                if name in phase.feeling:
+                    given[name] = Wrench(np.r_[rng.normal(size=3), 10.0 * rng.normal(size=3)], task.frame)
             if not self._well_conditioned(phase, q, v):
                 certificate.dropped += count
                 continue
-            memory = Memory(t=t - self.free.dt, phase=index, tau=np.zeros(robot.nv), q=q, v=v, loops=loops)
+            memory = Memory(t=t - self.free.dt, phase=index, tau=np.zeros(robot.nv), q=q, v=v, loops=loops, felt=felt)
             self.free.memory = memory
             out = self.free.step(t, q, v, measured=given)
             certificate.states += count
@@ -164,6 +174,13 @@ class Oracle:
             # a frame halfway up the arm has fewer than six axes at any one pose: what counts is what the task asks for
             J = J[list(self.built.robot.axes(task.frame))] if task.contact is not None else task.selection @ J
             if np.linalg.cond(J @ np.linalg.solve(state.M, J.T)) > MAX_COND:
+                return False
+        if phase.compliant:
+            for name, contact in phase.contacts.items():
+                state.contacts[name] = contact.hold(state)
+            rows = [h.G for h in state.contacts.values()] + [t.target(state)[0] for t in motion_tasks(phase)]
+            G = np.concatenate(rows + [t.target(state)[0] for t in phase.compliant.values()])
+            if np.linalg.cond(G @ np.linalg.solve(state.M, G.T)) > MAX_COND:
                 return False
         held = [contact.A(state) @ state.frame(contact.frame).J for contact in phase.contacts.values() if contact.k]
         if not held:
@@ -215,6 +232,9 @@ class Oracle:
         mujoco.mj_forward(model, data)
         M = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, M)
+        still = mujoco.MjData(model)
+        still.qpos[:] = data.qpos
+        mujoco.mj_forward(model, still)
 
         def of(name: str) -> Dynamics:
             T, body = np.eye(4), mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
@@ -227,14 +247,24 @@ class Oracle:
                 T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
                 T = T @ X.homogeneous
             J, drift = point_jacobian(model, data, body, T[:3, :3], T[:3, 3].copy())
-            return Dynamics(M, data.qfrc_bias.copy() - data.qfrc_passive, J, drift, J @ v, T)
+            return Dynamics(M, data.qfrc_bias.copy() - data.qfrc_passive, J, drift, J @ v, T, still.qfrc_bias)
 
         return of
 
 
+def _any_felt(task: Compliance, state: State, rng: np.random.Generator) -> Felt:
+    """What a task may remember: a wrench, a twist, and for an admittance a mass near the frame, in motion."""
+    frame = state.frame(task.frame)
+    F, V = np.r_[rng.normal(size=3), 10.0 * rng.normal(size=3)], frame.V + 1e-3 * rng.normal(size=6)
+    T = frame.T * pin.exp6(pin.Motion(0.05 * rng.normal(size=3), 0.2 * rng.normal(size=3)))
+    motion = np.column_stack((V + 0.1 * rng.normal(size=6), rng.normal(size=6)))
+    observed = Observed(*(rng.normal(size=state.v.size) for _ in range(3))) if task.observer is not None else None
+    return Felt(F, V, None, observed, T.homogeneous, motion)
+
+
 def _pinocchio(state: State, name: str) -> Dynamics:
     frame = state.frame(name)
-    return Dynamics(state.M, state.h, frame.J, frame.drift, frame.V, frame.T.homogeneous)
+    return Dynamics(state.M, state.h, frame.J, frame.drift, frame.V, frame.T.homogeneous, state.gravity())
 
 
 def _unlimited(phase: Phase) -> Phase:

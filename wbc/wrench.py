@@ -52,11 +52,13 @@ class ForceSensor:
     """A six-axis sensor at `frame` between the robot and everything that hangs below it (the tool).
 
     It reads what the robot applies to the tool; the tool's weight and inertia are taken off, so that what remains is
-    what the tool applies to the environment:  F = F_read - (I (a - a_g) + V x* I V).
+    what the tool applies to the environment:  F = F_read - bias - (I (a - a_g) + V x* I V). `bias` (6,) is what it
+    reads of nothing, in its axes; `tare` finds it.
     """
 
-    def __init__(self, robot: Robot, frame: str = "wrist_sensor") -> None:
-        self.frame = frame
+    def __init__(self, robot: Robot, frame: str = "wrist_sensor", bias: Array | None = None) -> None:
+        self.robot, self.frame = robot, frame
+        self.bias = np.zeros(6) if bias is None else np.array(bias, float)
         self._inertia = robot.inertia_below(frame)
         self._gravity = pin.Motion(robot.model.gravity.vector)
 
@@ -71,4 +73,13 @@ class ForceSensor:
         spatial = pin.Motion(a[3:], a[:3]) - frame.T.actInv(self._gravity)
         motion = pin.Motion(V[3:], V[:3])
         load = self._inertia * spatial + motion.cross(self._inertia * motion)
-        return Wrench(reading - np.concatenate((load.angular, load.linear)), self.frame)
+        return Wrench(reading - self.bias - np.concatenate((load.angular, load.linear)), self.frame)
+
+    def tare(self, readings: Array, state: State, vdot: Array) -> ForceSensor:
+        """A sensor that calls what it reads now zero: the tool must touch nothing.
+
+        Parameters: one reading (6,) or several (N, 6), of which the mean counts, at one state.
+        """
+        mean = np.asarray(readings, float).reshape(-1, 6).mean(axis=0)
+        bias = ForceSensor(self.robot, self.frame).compensated(mean, state, vdot).F
+        return ForceSensor(self.robot, self.frame, bias)

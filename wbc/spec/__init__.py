@@ -10,13 +10,14 @@ whole.
 """
 
 from ..axes import RECIPROCAL, VELOCITY_AXES, WRENCH_AXES
-from .contact import NORMAL, Contact, FreeMotion, Friction, Push, Screw
+from .contact import NORMAL, Contact, FreeMotion, Friction, Screw, Unilateral
 from .document import MAX_ENTRIES, Spec, json_schema, load
 from .fields import Model
 from .limit import Bound, Expect, Limits, Margin, Noise, Plant, Scale
 from .phase import Phase, Until, Within
-from .reference import Circle, Curve, Hold, Line, Lissajous, Quintic, Reference
-from .task import ForceTask, MotionTask, PostureTask, Task
+from .push import Bias, Move, Push, Sine, Wave
+from .reference import Arc, Circle, Curve, Hold, Line, Lissajous, Profile, Quintic, Reference
+from .task import AdmittanceTask, ForceTask, ImpedanceTask, MotionTask, PostureTask, Task
 
 __all__ = [
     "MAX_ENTRIES",
@@ -29,6 +30,17 @@ __all__ = [
     "json_schema",
     "load",
 ]
-__all__ += ["Circle", "Curve", "Hold", "Line", "Lissajous", "Quintic", "Reference"]
-__all__ += ["Contact", "ForceTask", "FreeMotion", "Friction", "MotionTask", "PostureTask", "Push", "Screw", "Task"]
+__all__ += ["Arc", "Circle", "Curve", "Hold", "Line", "Lissajous", "Profile", "Quintic", "Reference"]
+__all__ += [
+    "Contact",
+    "ForceTask",
+    "FreeMotion",
+    "Friction",
+    "MotionTask",
+    "PostureTask",
+    "Screw",
+    "Task",
+    "Unilateral",
+]
+__all__ += ["AdmittanceTask", "Bias", "ImpedanceTask", "Move", "Push", "Sine", "Wave"]
 __all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until", "Within"]

@@ -15,20 +15,33 @@ from ..errors import did_you_mean
 from .fields import shown
 from .phase import STOP
 from .source import MAX_FAULTS, KeyPath, Message, NoSuchKey, dotted, put
-from .task import ForceTask, MotionTask, PostureTask
+from .task import AdmittanceTask, ForceTask, ImpedanceTask, MotionTask, PostureTask
 
 if TYPE_CHECKING:
     from .document import Spec
     from .phase import Phase
 
 LeftOut = AbstractSet[KeyPath]
-SECTIONS: tuple[KeyPath, ...] = (("limits",), ("plant",), ("plant", "noise"))  # `--set` makes them when absent
+SECTIONS: tuple[KeyPath, ...] = (
+    ("limits",),
+    ("plant",),
+    ("plant", "noise"),
+    ("plant", "noise", "bias"),
+)  # `--set` makes them when absent
+_GAINS: dict[type, tuple[str, ...]] = {
+    ForceTask: ("kp", "ki", "damping"),
+    MotionTask: ("kp", "kd"),
+    ImpedanceTask: ("M", "B", "K"),
+    AdmittanceTask: ("M", "B", "K", "kp", "kd"),
+}
 _IN_PHASES = ("contacts", "tasks", "limits", "references")
 
 
 def disagreements(spec: Spec, left_out: LeftOut, check: Callable[[Any, LeftOut], list[Message]]) -> list[Message]:
     """At most MAX_FAULTS + 1 faults; `check` gives those of a changed tree."""
-    found = list(islice(chain(_of_contacts(spec, left_out), _of_tasks(spec, left_out)), MAX_FAULTS + 1))
+    found = list(
+        islice(chain(_of_contacts(spec, left_out), _of_tasks(spec, left_out), _of_plant(spec)), MAX_FAULTS + 1)
+    )
     phases = _of_phases(spec, left_out, lambda tree: [each for each in check(tree, left_out) if each not in found])
     return found + list(islice(phases, MAX_FAULTS + 1 - len(found)))
 
@@ -61,9 +74,19 @@ def _of_tasks(spec: Spec, left_out: LeftOut) -> Iterator[Message]:
             yield ("tasks", name, "contact"), message
 
 
-def _of_task(task: ForceTask | MotionTask, spec: Spec, left_out: LeftOut) -> Iterator[tuple[str, str]]:
+def _of_plant(spec: Spec) -> Iterator[Message]:
+    """A push is a name in the log, beside those of contacts and tasks."""
+    for name in spec.plant.pushes:
+        for kind, known in (("contact", spec.contacts), ("task", spec.tasks)):
+            if name in known:
+                yield ("plant", "pushes", name), f"there is a {kind} of that name; expected another one"
+
+
+def _of_task(
+    task: ForceTask | MotionTask | ImpedanceTask | AdmittanceTask, spec: Spec, left_out: LeftOut
+) -> Iterator[tuple[str, str]]:
     if (
-        isinstance(task, MotionTask)
+        not isinstance(task, ForceTask)
         and task.target
         and (message := _unknown(task.target, spec, "references", left_out))
     ):
@@ -74,10 +97,11 @@ def _of_task(task: ForceTask | MotionTask, spec: Spec, left_out: LeftOut) -> Ite
     if contact := spec.contacts.get(task.contact or ""):
         axes = contact.gain_names(task.type)
         if not (contact.wrench_targets if task.type == "force" else contact.motion_targets):
-            yield "contact", f"contact {task.contact!r} has no {task.type} target in its `artificial`; expected one"
-    elif isinstance(task, MotionTask) and task.contact is None and task.axes != "all":
+            kind = "force" if task.type == "force" else "motion"
+            yield "contact", f"contact {task.contact!r} has no {kind} target in its `artificial`; expected one"
+    elif not isinstance(task, ForceTask) and task.contact is None and task.axes != "all":
         axes = task.axes
-    for key in ("kp", "ki", "damping") if isinstance(task, ForceTask) else ("kp", "kd"):
+    for key in _GAINS[type(task)]:
         gain = getattr(task, key)
         if axes and isinstance(gain, tuple) and len(gain) != len(axes):
             expected = "numbers" if isinstance(gain[0], float) else "rows"

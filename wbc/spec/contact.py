@@ -57,7 +57,7 @@ class FreeMotion(Model):
 Side = Literal["x", "y", "z", "+x", "+y", "+z", "-x", "-y", "-z"]
 
 
-class Push(Model):
+class Unilateral(Model):
     """The direction in which the world only lets itself be pushed."""
 
     along: Side = Field(
@@ -78,7 +78,9 @@ class Friction(Model):
     )
 
 
-Pushes = Annotated[Annotated[Side, Tag("<name>")] | Annotated[Push, Tag("<map>")], either("a direction such as -z")]
+Pushes = Annotated[
+    Annotated[Side, Tag("<name>")] | Annotated[Unilateral, Tag("<map>")], either("a direction such as -z")
+]
 Coefficient = Annotated[
     Annotated[Positive, Tag("<number>")] | Annotated[Friction, Tag("<map>")],
     either("a friction coefficient or a mapping with mu"),
@@ -190,9 +192,9 @@ class Contact(OneOf):
         return self.free_axes if self.natural is not None or self.free is not None else None
 
     @property
-    def push(self) -> Push | None:
+    def push(self) -> Unilateral | None:
         """`pushes` in full."""
-        return Push(along=self.pushes) if isinstance(self.pushes, str) else self.pushes
+        return Unilateral(along=self.pushes) if isinstance(self.pushes, str) else self.pushes
 
     @property
     def coulomb(self) -> Friction | None:

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os.path import exists
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, model_validator
+from pydantic import Field, PrivateAttr, Strict, ValidationError, ValidationInfo, model_validator
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
@@ -41,6 +41,9 @@ class Spec(Model):
     law: Law = Field(default="compensated", description="compensated, or the book's law to the letter")
     gravity: Gravity = Field(default="controller", description="who adds the torque against gravity")
     start: Pose | None = Field(default=None, description="keyframe or joint positions to start from [rad]; else home")
+    tare: Annotated[bool, Strict()] = Field(
+        default=False, description="what the wrist sensor reads at the start counts as nothing"
+    )
     solver: Text = Field(default="daqp", description="the name of the QP solver")
     references: dict[Name, Reference] = Field(default={}, max_length=MAX_ENTRIES, description="desired motions by name")
     contacts: dict[Name, Contact] = Field(default={}, max_length=MAX_ENTRIES, description="contacts by name")

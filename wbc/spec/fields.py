@@ -28,6 +28,7 @@ from .source import MAX_FAULTS, Message, printable
 # What was expected, by pydantic's kind of error
 _EXPECTED = {
     "float_type": "a number",
+    "bool_type": "true or false",
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "finite_number": "a finite number",
@@ -46,19 +47,8 @@ _EXPECTED = {
     "too_long": "at most {max_length} entries",
 }
 # Parts of pydantic's paths that are no keys of the file
-_TAGS = {
-    "<number>",
-    "<name>",
-    "<list>",
-    "<matrix>",
-    "<map>",
-    "<scale>",
-    "<true>",
-    "<force>",
-    "<motion>",
-    "<posture>",
-    "[key]",
-}
+_TAGS = {"<number>", "<name>", "<list>", "<matrix>", "<map>", "<scale>", "<true>", "[key]"}
+_TAGS |= {"<force>", "<motion>", "<posture>", "<impedance>", "<admittance>"}
 
 
 def shown(value: Any) -> str:
@@ -126,7 +116,7 @@ class Model(BaseModel):
             named, types = bounds["tag"].strip("<>"), re.findall("<([a-z]+)>", bounds["expected_tags"])
             return (*path, "type"), f"unknown type {shown(named)}{did_you_mean(named, types)}"
         if kind == "union_tag_not_found" and isinstance(given, Mapping):
-            return (*path, "type"), "is missing; expected force, motion or posture"
+            return (*path, "type"), "is missing; expected force, motion, impedance, admittance or posture"
         if kind == "literal_error":
             words = re.findall("'([^']*)'", bounds["expected"])
             return path, f"unknown word {shown(given)}{did_you_mean(str(given), words)}"

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, Strict, Tag
 
-from .fields import ANumber, Model, NonNegative, Number, Positive, Text, either, shape
+from .fields import ANumber, Model, Name, NonNegative, Number, Positive, Text, either, shape
+from .push import Bias, Move, Push
 from .source import Message
 
 
@@ -55,6 +56,7 @@ class Noise(Model):
     moment: NonNegative = Field(default=0.0, description="measured moment [N m]")
     position: NonNegative = Field(default=0.0, description="joint position [rad]")
     velocity: NonNegative = Field(default=0.0, description="joint velocity [rad/s]")
+    bias: Bias = Field(default_factory=Bias, description="what the force sensor reads without a force")
 
 
 class Plant(Model):
@@ -70,6 +72,8 @@ class Plant(Model):
     armature: NonNegative | None = Field(default=None, description="rotor inertia; else the model's [kg m^2]")
     delay: Annotated[int, Strict()] = Field(default=0, ge=0, le=100, description="extra delay of the torque [ticks]")
     noise: Noise = Field(default_factory=Noise, description="measurement noise, standard deviations")
+    pushes: dict[Name, Push] = Field(default={}, max_length=50, description="wrenches on the robot, by name")
+    moves: dict[Text, Move] = Field(default={}, max_length=50, description="how mocap bodies of the scene are moved")
 
     def _faults(self) -> Iterable[Message]:
         if self.payload_at is not None and not self.payload:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Annotated, ClassVar
 
 from pydantic import Field
@@ -74,15 +75,50 @@ class Quintic(Curve):
     def _faults(self) -> Iterable[Message]:
         if len(self.times) != len(self.waypoints):
             yield ("times",), f"expected {len(self.waypoints)} times, one a way point, got {len(self.times)}"
-        for i, (before, time) in enumerate(zip(self.times, self.times[1:], strict=False), 1):
-            if time <= before:
-                yield ("times", i), f"expected a time after {before:g} s, got {time:g}"
+        yield from _increasing(self.times)
+
+
+class Profile(Model):
+    """A number over time, a quintic from rest to rest between neighbours: for one axis, screw or force."""
+
+    in_: ClassVar = "world"
+    values: tuple[Number, ...] = Field(min_length=2, description="values [rad, m, N m or N, as what follows it]")
+    times: tuple[NonNegative, ...] = Field(description="time of each value, increasing [s]")
+
+    def _faults(self) -> Iterable[Message]:
+        if len(self.times) != len(self.values):
+            yield ("times",), f"expected {len(self.values)} times, one a value, got {len(self.times)}"
+        yield from _increasing(self.times)
+
+
+class Arc(Curve):
+    """Forth and back along an arc in the x-y plane of the frame, heading along it, as a wheel rolls.
+
+    At the angle 0 it passes the frame's origin along x; the centre of the arc is on the y axis.
+    """
+
+    radius: Number = Field(description="radius; negative: the arc turns right [m]")
+    angles: tuple[Number, ...] = Field(min_length=2, description="headings from rest to rest [rad]")
+    times: tuple[NonNegative, ...] = Field(description="time of each heading, increasing [s]")
+
+    def _faults(self) -> Iterable[Message]:
+        if not self.radius:
+            yield ("radius",), "expected a radius other than 0"
+        if len(self.times) != len(self.angles):
+            yield ("times",), f"expected {len(self.angles)} times, one a heading, got {len(self.times)}"
+        yield from _increasing(self.times)
+
+
+def _increasing(times: tuple[float, ...]) -> Iterable[Message]:
+    for i, (before, time) in enumerate(pairwise(times), 1):
+        if time <= before:
+            yield ("times", i), f"expected a time after {before:g} s, got {time:g}"
 
 
 class Reference(OneOf):
     """A desired motion over time: exactly one kind."""
 
-    kinds: ClassVar = ("hold", "line", "circle", "lissajous", "quintic")
+    kinds: ClassVar = ("hold", "line", "circle", "lissajous", "quintic", "arc", "profile")
 
     hold: Hold | None = Field(default=None, description="stay where the motion starts")
     line: Line | None = Field(default=None, description="a straight line from rest to rest")
@@ -90,7 +126,10 @@ class Reference(OneOf):
     lissajous: Lissajous | None = Field(default=None, description="two sines, along x and y")
     quintic: Quintic | None = Field(default=None, description="quintic polynomials through way points")
 
+    arc: Arc | None = Field(default=None, description="along an arc in the x-y plane, heading along it")
+    profile: Profile | None = Field(default=None, description="a number over time, for one axis")
+
     @property
-    def curve(self) -> Hold | Line | Circle | Lissajous | Quintic:
-        curve: Hold | Line | Circle | Lissajous | Quintic = getattr(self, self.kind)
+    def curve(self) -> Hold | Line | Circle | Lissajous | Quintic | Arc | Profile:
+        curve: Hold | Line | Circle | Lissajous | Quintic | Arc | Profile = getattr(self, self.kind)
         return curve

@@ -10,6 +10,9 @@ from pydantic import Discriminator, Field, Tag
 from .fields import Axes, Gain, Model, NonNegative, Pose, Positive, Text
 from .source import Message
 
+Error = Literal["log", "split"]
+_ERROR = "pose error: the SE(3) log of the book, or split into rotation and translation, which moves in straight lines"
+
 
 class ForceTask(Model):
     """Track the wrench of a contact: feed-forward, proportional, integral, damping along the constrained axes."""
@@ -40,6 +43,7 @@ class MotionTask(Model):
     target: Text | None = Field(default=None, description="without a contact: the name of a reference")
     kp: Gain = Field(description="stiffness [1/s^2]")
     kd: Gain = Field(description="damping [1/s]")
+    error: Error = Field(default="log", description=_ERROR)
     weight: Positive = Field(default=1.0, description="weight of the motion cost, relative [1]")
 
     def _faults(self) -> Iterable[Message]:
@@ -48,6 +52,104 @@ class MotionTask(Model):
                 yield (key,), "comes from the contact; expected either `contact`, or `frame`, `axes` and `target`"
             if self.contact is None and getattr(self, key) is None:
                 yield (key,), "is missing; expected a `contact`, or a `frame` and a `target`"
+
+
+class _Compliance(Model):
+    """A mass, spring and damper between a frame and its reference: M xdd_e + B xd_e + K x_e = f_ext."""
+
+    contact: Text | None = Field(default=None, description="the contact along whose free axes it is felt")
+    frame: Text | None = Field(default=None, description="without a contact: the frame at which it is felt")
+    axes: Axes = Field(default="all", description="without a contact: the velocity axes, or all")
+    target: Text | None = Field(default=None, description="without a contact: a reference; else where it starts")
+    error: Error = Field(default="log", description=_ERROR)
+    filter: Positive | None = Field(default=None, description="cut-off of the low-pass on the external wrench [Hz]")
+    weight: Positive = Field(default=1.0, description="weight of the cost, relative [1]")
+
+    def _faults(self) -> Iterable[Message]:
+        for key in ("frame", "axes", "target"):
+            if self.contact is not None and key in self.model_fields_set:
+                yield (key,), "comes from the contact; expected either `contact`, or `frame`, `axes` and `target`"
+        if self.contact is None and self.frame is None:
+            yield ("frame",), "is missing; expected a `contact` or a `frame`"
+
+
+class ImpedanceTask(_Compliance):
+    """Render a mass, spring and damper by the force that a motion calls for (book 11.7.1)."""
+
+    type: Literal["impedance"] = Field(description="impedance")
+    M: Gain = Field(description="mass; 0: the arm's own is felt [kg m^2, kg]")
+    B: Gain = Field(description="damping [N m s/rad, N s/m]")
+    K: Gain = Field(description="stiffness [N m/rad, N/m]")
+    external: Literal["measured", "observer", "acceleration", "none"] | None = Field(
+        default=None,
+        description="where the external wrench comes from: the sensor, a momentum observer, the acceleration, or "
+        "nowhere; measured when left out, none without a mass",
+    )
+    compensate: Literal["dynamics", "gravity"] = Field(
+        default="dynamics", description="what of the arm is cancelled: all of its dynamics, or its weight alone"
+    )
+
+    @property
+    def source(self) -> str:
+        """Where the external wrench comes from."""
+        return self.external or ("measured" if _any(self.M) else "none")
+
+    def _faults(self) -> Iterable[Message]:
+        yield from super()._faults()
+        yield from _uneven(self, ("M", "B", "K"))
+        if _any(self.M) and self.source == "none":
+            yield ("external",), "a mass needs the external wrench; expected measured, observer or acceleration"
+        if not _any(self.M) and self.source != "none":
+            yield ("external",), "without a mass no external wrench is needed; expected none, or a mass"
+        if _any(self.M) and self.compensate == "gravity":
+            yield ("compensate",), "a mass needs the arm's dynamics cancelled; expected dynamics, or M: 0"
+        if self.filter is not None and self.source not in ("measured", "observer"):
+            yield ("filter",), f"nothing is filtered with external: {self.source}; remove it, or choose measured"
+        if self.filter is None and self.source == "observer":
+            yield ("filter",), "is missing; expected the bandwidth of the observer [Hz]"
+
+
+class AdmittanceTask(_Compliance):
+    """Move as a mass, spring and damper would under the measured wrench (book 11.7.2)."""
+
+    type: Literal["admittance"] = Field(description="admittance")
+    M: Gain = Field(description="mass [kg m^2, kg]")
+    B: Gain = Field(description="damping [N m s/rad, N s/m]")
+    K: Gain = Field(description="stiffness [N m/rad, N/m]")
+    kp: Gain = Field(default=100.0, description="stiffness with which the arm follows the moving mass [1/s^2]")
+    kd: Gain = Field(default=20.0, description="damping with which it follows [1/s]")
+    external: Literal["measured", "observer"] = Field(
+        default="measured", description="where the external wrench comes from: the sensor, or a momentum observer"
+    )
+    law: Literal["compensated", "printed"] = Field(
+        default="compensated", description="compensated, or the book's: the wrench uncancelled, the arm as the mass"
+    )
+
+    @property
+    def source(self) -> str:
+        """Where the external wrench comes from."""
+        return self.external
+
+    def _faults(self) -> Iterable[Message]:
+        yield from super()._faults()
+        yield from _uneven(self, ("M", "B", "K"))
+        if not _any(self.M):
+            yield ("M",), "an admittance moves a mass: expected it above 0, or type: impedance"
+        if self.filter is None and self.source == "observer":
+            yield ("filter",), "is missing; expected the bandwidth of the observer [Hz]"
+
+
+def _any(gain: Any) -> bool:
+    """Whether a gain is not zero."""
+    return any(map(_any, gain)) if isinstance(gain, tuple) else gain != 0
+
+
+def _uneven(task: Any, keys: Iterable[str]) -> Iterable[Message]:
+    """A list is all zero or all above zero: what is zero along some axes is a task along fewer axes."""
+    for key in keys:
+        gain = getattr(task, key)
+        if isinstance(gain, tuple) and not isinstance(gain[0], tuple) and any(gain) and not all(gain):
+            yield (key,), "expected all of them above 0, or all of them 0"
 
 
 class PostureTask(Model):
@@ -68,6 +170,8 @@ def _type(value: Any) -> str | None:
 Task = Annotated[
     Annotated[ForceTask, Tag("<force>")]
     | Annotated[MotionTask, Tag("<motion>")]
+    | Annotated[ImpedanceTask, Tag("<impedance>")]
+    | Annotated[AdmittanceTask, Tag("<admittance>")]
     | Annotated[PostureTask, Tag("<posture>")],
     Discriminator(_type),
 ]
