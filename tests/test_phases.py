@@ -106,7 +106,7 @@ class TestWaysOut:
         whys = [entry["why"] for entry in result.summary["phases"]]
         assert whys[0] == ""
         assert whys[1].startswith("approach: board.fz = -")
-        assert "draw.done" in whys[2]
+        assert whys[2] == "write: draw.done"
         assert result.log.meta["phases"] == ["approach", "write", "leave"]
 
     def test_a_distance_a_speed_and_an_error(self, touch, file):
@@ -220,6 +220,12 @@ class TestNothingJumps:
         np.testing.assert_allclose(travelled, [0.0, 0.0, 0.02], atol=1e-4)
         # a speed of zero in the table keeps x; what is drawn is drawn where it stands
         np.testing.assert_allclose(log["draw.desired"][change(result, 2) - 1][:2], [0.52, 0.03], atol=1e-4)
+
+    def test_to_hold_is_to_stay_where_the_phase_found_the_robot(self, touch):
+        result, _ = touch("references.up={hold: {}}")
+        stayed = result.log["lift.position"][change(result, 2) :]
+        assert np.linalg.norm(stayed - stayed[0], axis=1).max() < 1e-3
+        np.testing.assert_allclose(stayed[-1], [0.52, 0.03, 0.3], atol=1e-3)  # not where the run began
 
     def test_a_rate_that_is_too_slow_for_the_contact_makes_the_tasks_yield(self, touch):
         result, ticks = touch("limits.torque_rate=60", "duration=0.8")

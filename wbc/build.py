@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from . import quantity as quantities
 from . import spec as specs
 from .analytic import damping_limit
 from .closing import CLOSED, Goal, close
@@ -20,7 +19,8 @@ from .contact import Contact
 from .controller import Controller, Phase
 from .dynamics import mobility
 from .errors import did_you_mean
-from .faults import Faults, Place
+from .exits import exit_of
+from .faults import Faults
 from .free_motion import STABLE, MassRange, following_radius, mass_range
 from .geometry import Geometry, components
 from .impedance import AdmittanceTask, Compliance
@@ -33,10 +33,9 @@ from .robot import Robot
 from .sim import to_mujoco
 from .solver import Solver, make
 from .stability import Pole, damping_margin, force_poles
-from .task import ForceTask, MotionTask, Task
+from .task import ForceTask, Task
 from .tracking import Tracking, joint_values
-from .transition import STOP, Condition, Exit, Reading
-from .wrench import VELOCITY_AXES, WRENCH_AXES
+from .wrench import VELOCITY_AXES
 
 WELDED = 1e-6  # [m, rad] how well the start pose closes what the scene welds
 
@@ -194,48 +193,9 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
     weights = {task: geometry.spec.tasks[task].weight for task in tasks}
     poles, margins, most = _stability(geometry, contacts, tasks, q)
     torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
-    exit_ = None if entry is None else _exit(base, name, entry, follower, tasks, q)
+    exit_ = None if entry is None else exit_of(base, name, entry, follower, tasks, q)
     masses = _masses(geometry, contacts, tasks, q)
     return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins, most, masses)
-
-
-def _exit(
-    base: Geometry, name: str, entry: specs.Phase, follower: str, tasks: Mapping[str, Task], q: Array
-) -> Exit | None:
-    """The ways out of a phase; None where there are none."""
-    conditions = entry.until.conditions if entry.until is not None else {}
-    if not conditions and entry.timeout is None and entry.lost is None:
-        return None
-    until = []
-    for quantity, bound in conditions.items():
-        read = None if quantity == "time" else _reading(base, ("phases", name, "until", quantity), quantity, tasks, q)
-        low = -math.inf if bound.min is None else bound.min
-        until.append(Condition(quantity, read, low, math.inf if bound.max is None else bound.max, bound.for_))
-    pressing = [(task.contact, quantities.pressing(task)) for task in tasks.values() if isinstance(task, ForceTask)]
-    timeout = math.inf if entry.timeout is None else entry.timeout
-    return Exit(tuple(until), follower, timeout, entry.else_ or STOP, entry.lost or "", tuple(pressing))
-
-
-def _reading(base: Geometry, path: Place, quantity: str, tasks: Mapping[str, Task], q: Array) -> Reading | None:
-    """How a measured quantity is read; None where it cannot be."""
-    subject, _, what = quantity.rpartition(".")
-    if what in WRENCH_AXES:
-        return quantities.force(subject, WRENCH_AXES.index(what))
-    if what == "distance":
-        read = base.distance(subject, q)
-        if read is None:
-            held = ", ".join(base.spec.contacts[subject].constrained) or "no axis"
-            message = f"contact {subject!r} holds {held}; expected one that `pushes`, or holds one of vx, vy, vz alone"
-            base.faults.add(path, message)
-        return read
-    task = tasks.get(subject)
-    if not isinstance(task, MotionTask):
-        return None  # at fault already
-    if what == "done" and quantities.ending(task) == math.inf:
-        base.faults.add(
-            path, f"the reference of {subject!r} never ends; expected one that does, or another end: `time`"
-        )
-    return {"done": quantities.done, "error": quantities.error, "speed": quantities.speed}[what](task)
 
 
 def _masses(

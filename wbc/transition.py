@@ -30,6 +30,8 @@ class Condition(NamedTuple):
 
     def told(self, value: float) -> str:
         """What holds, in words."""
+        if self.name.endswith(".done"):
+            return self.name
         low = f"{self.low:g} <= " if self.low > -math.inf else ""
         high = f" <= {self.high:g}" if self.high < math.inf else ""
         return f"{low}{self.name} = {value:.4g}{high}" + (f" for {self.duration:g} s" if self.duration else "")

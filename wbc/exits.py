@@ -1,0 +1,54 @@
+"""The ways out of a phase, from its entry in a spec; what only the geometry can tell is checked here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from . import quantity as quantities
+from . import spec as specs
+from .faults import Place
+from .geometry import Geometry
+from .qp import Array
+from .task import ForceTask, MotionTask, Task
+from .transition import STOP, Condition, Exit, Reading
+from .wrench import WRENCH_AXES
+
+
+def exit_of(
+    base: Geometry, name: str, entry: specs.Phase, follower: str, tasks: Mapping[str, Task], q: Array
+) -> Exit | None:
+    """The ways out of a phase; None where there are none."""
+    conditions = entry.until.conditions if entry.until is not None else {}
+    if not conditions and entry.timeout is None and entry.lost is None:
+        return None
+    until = []
+    for quantity, bound in conditions.items():
+        read = None if quantity == "time" else _reading(base, ("phases", name, "until", quantity), quantity, tasks, q)
+        low = -math.inf if bound.min is None else bound.min
+        until.append(Condition(quantity, read, low, math.inf if bound.max is None else bound.max, bound.for_))
+    pressing = [(task.contact, quantities.pressing(task)) for task in tasks.values() if isinstance(task, ForceTask)]
+    timeout = math.inf if entry.timeout is None else entry.timeout
+    return Exit(tuple(until), follower, timeout, entry.else_ or STOP, entry.lost or "", tuple(pressing))
+
+
+def _reading(base: Geometry, path: Place, quantity: str, tasks: Mapping[str, Task], q: Array) -> Reading | None:
+    """How a measured quantity is read; None where it cannot be."""
+    subject, _, what = quantity.rpartition(".")
+    if what in WRENCH_AXES:
+        return quantities.force(subject, WRENCH_AXES.index(what))
+    if what == "distance":
+        read = base.distance(subject, q)
+        if read is None:
+            held = ", ".join(base.spec.contacts[subject].constrained) or "no axis"
+            message = f"contact {subject!r} holds {held}; expected one that `pushes`, or holds one of vx, vy, vz alone"
+            base.faults.add(path, message)
+        return read
+    task = tasks.get(subject)
+    if not isinstance(task, MotionTask):
+        return None  # at fault already
+    if what == "done" and quantities.ending(task) == math.inf:
+        base.faults.add(
+            path, f"the reference of {subject!r} never ends; expected one that does, or another end: `time`"
+        )
+    return {"done": quantities.done, "error": quantities.error, "speed": quantities.speed}[what](task)
