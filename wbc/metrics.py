@@ -139,7 +139,7 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         out[f"{name}.lost"] = float((touched & ~force).sum())
         contact = next(phase.contacts[name] for phase in phases if name in phase.contacts)
         out |= _push(log, name, contact, late)
-        for i, axis in enumerate(_held_axes(contact)):
+        for i, axis in enumerate(_held_axes(contact) if f"{name}.rate" in log else ()):
             rate = log[f"{name}.rate"][:, i]
             way = np.cumsum(rate[late]) * log.meta["dt"]
             out[f"{name}.{axis}.speed.max"] = float(np.abs(rate[held]).max()) if held.any() else math.nan

@@ -186,7 +186,7 @@ def bode(log: Log, name: str, task: Compliance) -> Bode | None:
             continue
         m, b, k = (float(part[0, 0]) for part in task_parts(task))
         dt, w = log.meta["dt"], 2 * np.pi * np.array(frequencies)
-        ticks = round(_period(frequencies) / dt)
+        ticks = max(1, round(_period(frequencies) / dt))
         count = int((log["t"][-1] - push["from"]) / dt * 0.6) // ticks * ticks  # what remains is left to settle in
         if not 0 < count < log.size or not np.isfinite(log[f"{name}.displacement"][-count:]).all():
             return None
@@ -251,7 +251,7 @@ def yielding(log: Log, task: ForceTask) -> tuple[float, float] | None:
         if len(frequencies) != 1 or len(task.axes) != 1 or place not in log:
             continue
         dt, w = log.meta["dt"], 2 * np.pi * frequencies[0]
-        ticks = round(1 / frequencies[0] / dt)
+        ticks = max(1, round(1 / frequencies[0] / dt))
         count = int((log["t"][-1] - move["from"]) / dt * 0.6) // ticks * ticks
         if 0 < count < log.size and np.isfinite(log[place][-count:]).all():
             t, at = log["t"][-count:], np.array([w])
