@@ -146,7 +146,7 @@ def test_such_a_spec_is_refused():
 
 def test_the_hand_drifts_at_the_terminal_speed_until_it_meets_the_board():
     finished = result("force_damped")
-    log, speed = finished.log, finished.log["wall.slip"][:, 2]
+    log, speed = finished.log, finished.log["wall.rate"][:, 2]
     touched = int(np.flatnonzero(np.abs(log["wall.true"][:, 5]) > 0)[0])
     expected = analytic.terminal_velocity(np.array([-10.0]), 250.0)[0]
     assert touched > 500
@@ -215,7 +215,7 @@ def test_more_damping_than_an_axis_bears_is_refused():
 def test_a_wheel_rolls_where_it_heads():
     """Nonholonomic: it moves across its first heading by turning, and never sideways."""
     finished = result("wheel")
-    path, speed = finished.log["roll.position"], np.abs(finished.log["board.slip"])
+    path, speed = finished.log["roll.position"], np.abs(finished.log["board.rate"])
     assert np.ptp(path[:, 0]) > 0.15
     assert np.ptp(path[:, 1]) > 0.015
     assert speed[1000:].max() < 1e-4
