@@ -9,9 +9,10 @@ import pytest
 
 from wbc.build import build
 from wbc.observer import MomentumObserver, errors, filtered, smoothing
+from wbc.outside import sines
 from wbc.robot import Robot
 from wbc.run import run
-from wbc.sim import Simulator, sines
+from wbc.sim import Simulator
 from wbc.spec import Sine, Spec, load
 from wbc.wrench import ForceSensor
 

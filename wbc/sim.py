@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import mujoco
@@ -13,9 +13,10 @@ import pinocchio as pin
 from . import material
 from .errors import ModelError, SimulationError
 from .model import body_name, quietly, to_pinocchio
+from .outside import Outside, carried, has_site
 from .qp import Array
 from .robot import Robot, State
-from .wrench import WRENCH_AXES, ForceSensor, Wrench
+from .wrench import ForceSensor, Wrench
 
 SENSORS = ("wrist_torque", "wrist_force")
 
@@ -149,9 +150,9 @@ class Simulator:
     def true_external(self, frame: str) -> Array:
         """(6,) all that the body of `frame` applied to its environment in the last tick, contacts and pushes, there."""
         F = self.true_wrench(frame)
-        own, R, p = _body(self.model, self.data, frame)
+        own, R, p = carried(self.model, self.data, frame)
         for name, push in self._outside.pushes.items():
-            body, R_push, p_push = _body(self.model, self.data, push.frame)
+            body, R_push, p_push = carried(self.model, self.data, push.frame)
             if body == own:
                 m, f = (R_push @ part for part in self.true_push(name).reshape(2, 3))
                 F += np.concatenate((R.T @ (m + np.cross(p_push - p, f)), R.T @ f))
@@ -159,8 +160,8 @@ class Simulator:
 
     def true_motion(self, frame: str) -> tuple[pin.SE3, Array]:
         """Pose, and body twist (6,), of a frame in the last tick."""
-        body, R, p = _body(self.model, self.data, frame)
-        at_site = _has_site(self.model, frame)
+        body, R, p = carried(self.model, self.data, frame)
+        at_site = has_site(self.model, frame)
         kind = mujoco.mjtObj.mjOBJ_SITE if at_site else mujoco.mjtObj.mjOBJ_XBODY
         twist = np.zeros(6)
         mujoco.mj_objectVelocity(self.model, self.data, kind, self.model.site(frame).id if at_site else body, twist, 1)
@@ -168,7 +169,7 @@ class Simulator:
 
     def impact(self, frame: str) -> Impact | None:
         """The one point in which the body of `frame` touches its environment; None where there are none or several."""
-        (body, *_), found = _body(self.model, self.data, frame), list[Impact]()
+        (body, *_), found = carried(self.model, self.data, frame), list[Impact]()
         for i in range(self.data.ncon):
             contact = self.data.contact[i]
             owners = [self.model.geom_bodyid[g] for g in contact.geom]
@@ -189,7 +190,7 @@ class Simulator:
 
     def true_touch(self, frame: str) -> Touch:
         """The true wrench of the body of `frame` with what a wrench cannot tell."""
-        body, R, p = _body(self.model, self.data, frame)
+        body, R, p = carried(self.model, self.data, frame)
         F, force, points, mu = np.zeros(6), np.zeros(6), 0, 0.0
         rigid = self.robot.mujoco.body_weldid
         for i in range(self.data.ncon):
@@ -242,68 +243,6 @@ class Simulator:
                     mujoco.mju_mulQuat(product, turn, q[0])
                     m[k] = 0.5 * model.eq_data[i, 10] * product[1:] @ data.efc_force[own[3:]]
             yield data.site_xpos[sites[0]], m, f, model.site_bodyid[list(sites)]
-
-
-class Outside:
-    """What acts from outside: wrenches on the robot at their frames, bodies of the scene that are moved by hand.
-
-    `wrenches` name -> (6,) what the environment applies to the robot, at the frame and in its axes, in the last step.
-    """
-
-    def __init__(self, model: mujoco.MjModel, plant: Any) -> None:
-        self.model = model
-        self.pushes = dict(plant.pushes) if plant is not None else {}
-        self.moves = dict(plant.moves) if plant is not None else {}
-        self._courses = {name: _courses(push.wrench) for name, push in self.pushes.items()}
-        self._home = model.body_pos.copy()
-        self.wrenches = {name: np.zeros(6) for name in self.pushes}
-
-    def push(self, data: mujoco.MjData) -> None:
-        """The forces of this step; in MuJoCo they act at a body's centre of mass, so the moment is moved there."""
-        if not self.pushes:
-            return
-        data.xfrc_applied[:] = 0.0
-        for name, push in self.pushes.items():
-            F = self.wrenches[name] = np.zeros(6)
-            if push.from_ <= data.time < (np.inf if push.to is None else push.to):
-                for axis, course in self._courses[name].items():
-                    F[WRENCH_AXES.index(axis)] = course(data.time - push.from_)
-            body, R, p = _body(self.model, data, push.frame)
-            f = R @ F[3:]
-            data.xfrc_applied[body, :3] += f
-            data.xfrc_applied[body, 3:] += R @ F[:3] + np.cross(p - data.xipos[body], f)
-
-    def move(self, data: mujoco.MjData) -> None:
-        for body, move in self.moves.items():
-            index = self.model.body(body).id
-            along = np.array(move.along) / np.linalg.norm(np.array(move.along))
-            shift = sines(move.sine)(data.time - move.from_) if data.time >= move.from_ else 0.0
-            data.mocap_pos[self.model.body_mocapid[index]] = self._home[index] + shift * along
-
-
-def sines(sine: Any) -> Callable[[float], float]:
-    """A sum of sines from the spec; the phases of several (Schroeder's, -pi k (k - 1)/n) keep its peak low."""
-    omega = 2.0 * np.pi * np.array(sine.frequencies)
-    k = np.arange(omega.size)
-    phase = -np.pi * k * (k - 1) / k.size if k.size > 1 else np.zeros(1)
-    return lambda t: float(sine.amplitude * np.sin(omega * t + phase).sum())
-
-
-def _courses(wrench: Any) -> dict[str, Callable[[float], float]]:
-    return {axis: sines(value.sine) if hasattr(value, "sine") else _always(value) for axis, value in wrench.items()}
-
-
-def _always(value: float) -> Callable[[float], float]:
-    return lambda t: value
-
-
-def _body(model: mujoco.MjModel, data: mujoco.MjData, frame: str) -> tuple[int, Array, Array]:
-    """The body that carries a site, or is called so, and the frame's rotation and place."""
-    if _has_site(model, frame):
-        site = model.site(frame).id
-        return int(model.site_bodyid[site]), data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
-    body = int(model.body(frame).id)
-    return body, data.xmat[body].reshape(3, 3), data.xpos[body]
 
 
 def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:
@@ -372,13 +311,9 @@ def carrier(robot: Robot, name: str) -> tuple[int, pin.SE3]:
 
 def _last_body(model: mujoco.MjModel) -> int:
     """The body that carries the load: the tool where there is one, else the last link."""
-    if _has_site(model, "wrist_sensor"):
+    if has_site(model, "wrist_sensor"):
         return int(model.site("wrist_sensor").bodyid[0])
     return int(model.jnt_bodyid[-1])
-
-
-def _has_site(model: mujoco.MjModel, name: str) -> bool:
-    return bool(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) >= 0)
 
 
 def _has_sensor(model: mujoco.MjModel, name: str) -> bool:
