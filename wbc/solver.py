@@ -87,6 +87,9 @@ class Daqp:
     """
 
     def __init__(self, **settings: Any) -> None:
+        import daqp  # here, not in the first tick
+
+        self._Model = daqp.Model
         # equality reduction chooses by the history of the model: off
         self._settings = {"primal_tol": 1e-9, "iter_limit": 1000, "eq_reduction": -1} | settings
         self._problem: Problem | None = None  # the last one: the same object needs no look at its shape
@@ -107,12 +110,10 @@ class Daqp:
         return x, info["lam"]
 
     def _setup(self, problem: Problem) -> None:
-        import daqp
-
         n, size, n_eq = shape = problem.g.size, problem.lo.size, problem.n_eq
         self._sense = np.zeros(size, dtype=np.int32)
         self._sense[n : n + n_eq] = 5  # an equality, always active
-        self._model = daqp.Model()
+        self._model = self._Model()
         self._model.settings = self._settings
         flag, _ = self._model.setup(problem.H, problem.g, problem.C, problem.hi, problem.lo, self._sense)
         if flag < 0:
