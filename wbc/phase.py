@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .contact import Contact
-from .dynamics import gauss, inertia, mobility, torque_map
+from .dynamics import fill, gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
 from .impedance import AdmittanceTask, Compliance, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
@@ -75,7 +75,7 @@ def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any
 
 def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
     """Drop a posture where contacts and motion leave no null space; damp the self-motion that nothing else holds."""
-    state = State(start.robot, start.data, start.q, start.v)
+    state = State(start.terms, start.q, start.v)
     hold(state, phase)
     rows = [held.G for held in state.contacts.values()]
     rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, MotionTask | Compliance)]
@@ -138,7 +138,7 @@ class Program:
             }
             if own and len({phase.weights[name] for name in names}) == 1:
                 self.merged = (list(self.above.values()), self.posture[names[-1]], phase.weights[names[0]])
-        state = State(start.robot, start.data, start.q, start.v)
+        state = State(start.terms, start.q, start.v)
         hold(state, phase)
         sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
         hard = [
@@ -158,7 +158,9 @@ class Program:
             self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, joint])
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[tuple[Rows, float]] = []
+        self._torque, self._joint = self.strict.stored["torque"], self.strict.stored.get("joint")
         self._hard: list[Rows] = []
+        self.window: tuple[Array, Array] = (phase.torque.low, phase.torque.high)  # [N m] of the torque at this tick
 
     def named(self, starts: Mapping[str, Any]) -> Mapping[Any, Any]:
         """Task -> its start, from those by name."""
@@ -172,18 +174,25 @@ class Program:
         """Whether the last problem let joint viability yield."""
         return self.last is not self.strict
 
-    def assemble(self, state: State, bounds: tuple[Array, Array], dt: float) -> bool:
+    def assemble(self, state: State, tau_last: Array, dt: float) -> bool:
         """The problem of a tick, in `strict`; False when it must not be solved."""
         phase = self.phase
         self._costs = self.costs(state)
-        self._hard = [contact.rows(name, state.contacts[name]) for name, contact in phase.contacts.items()]
+        self._hard = hard = []
+        for name, contact in phase.contacts.items():
+            rows = self.strict.stored[name]
+            contact.fill(state.contacts[name], rows)
+            hard.append(rows)
         if self.pushing:
-            self._hard += self._cones(state)
-        self._hard.append(torque_map(state).rows(*bounds))
-        if phase.joint is not None:
-            self._hard.append(phase.joint.rows(state.q, state.v, dt))
+            hard += self._cones(state)
+        self.window = phase.torque.window(tau_last, dt, state.bias, self._torque)
+        fill(state, self._torque)
+        hard.append(self._torque)
+        if self._joint is not None and phase.joint is not None:
+            phase.joint.fill(state.q, state.v, dt, self._joint)
+            hard.append(self._joint)
         self.last = self.strict
-        return _fill(self.strict, self._costs, self._hard)
+        return _fill(self.strict, self._costs, hard)
 
     def _cones(self, state: State) -> list[Rows]:
         """Inequalities of the contacts that only push."""
