@@ -62,7 +62,7 @@ class _Free:
     def __init__(self, problem: Problem) -> None:
         n, n_eq = problem.g.size, problem.n_eq
         E, e = problem.C[:n_eq], problem.lo[n : n + n_eq]
-        self.x: Array = np.linalg.lstsq(E, e, rcond=None)[0] if n_eq else np.zeros(n)
+        self.x = np.asarray(np.linalg.lstsq(E, e, rcond=None)[0] if n_eq else np.zeros(n), float)
         self.Z = null_space(E) if n_eq else np.eye(n)
         self.gap = float(np.abs(E @ self.x - e).max(initial=0.0))  # of equalities that contradict one another
         C, lo, hi = (
@@ -160,7 +160,7 @@ def _optimum(free: _Free, rows: Level, pull: float, solver: Solver, tolerance: C
     binding, least, most = free.inequalities()
     m = len(binding)
     if not m + soft.size:
-        z = np.linalg.lstsq(B, r, rcond=None)[0]
+        z = np.asarray(np.linalg.lstsq(B, r, rcond=None)[0], float)
         return Solution(z, np.zeros(0), Certificate(0.0, 0.0, 0.0), True)
     C = np.zeros((m + soft.size, size))
     C[:m, :d], C[m:, :d], C[m:, d:] = binding, B[soft], -np.eye(soft.size)
@@ -176,7 +176,7 @@ def _optimum(free: _Free, rows: Level, pull: float, solver: Solver, tolerance: C
         if not solution.accepted:
             return solution
         moved = np.concatenate((B[hard] @ (solution.x[:d] - z[:d]), solution.x[d:] - z[d:]))
-        z = np.array(solution.x)
+        z = np.array(solution.x, float)
         if not np.abs(moved).max(initial=0.0) > SETTLED * (1.0 + np.abs(r[hard]).max(initial=0.0)):
             break
     return solution._replace(x=z)
