@@ -193,7 +193,7 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
     weights = {task: geometry.spec.tasks[task].weight for task in tasks}
     poles, margins, most = _stability(geometry, contacts, tasks, q)
     torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
-    exit_ = None if entry is None else exit_of(base, name, entry, follower, tasks, q)
+    exit_ = None if entry is None else exit_of(base, name, entry, follower, contacts, tasks, q)
     masses = _masses(geometry, contacts, tasks, q)
     return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins, most, masses)
 

@@ -88,14 +88,18 @@ class Unilateral:
         """Number of faces of the cone; 0 where nothing is held across the push."""
         return len(self._sides)
 
+    def turned(self, contact: Contact, state: State) -> tuple[Array, Array, Array]:
+        """`d`, `held` and `slides` in the axes of the frame."""
+        turn = contact.turn(state)
+        if turn is None:
+            return self.d, self.held, self.slides
+        return turn.dot(self.d), self.held.dot(turn.T), self.slides.dot(turn.T)
+
     def hold(
         self, contact: Contact, state: State, A: Array, G: Array, inverse: Array
     ) -> tuple[Array, Array, Cone | None]:
         """B' (k, 6), B' J (k, nv) and the cone of a contact at a tick, from A, A J and (A')^+."""
-        turn = contact.turn(state)
-        d, held, slides = self.d, self.held, self.slides
-        if turn is not None:
-            d, held, slides = turn.dot(d), held.dot(turn.T), slides.dot(turn.T)
+        d, held, slides = self.turned(contact, state)
         cone = None if self._lifted else self._cone(d, held, A, inverse)
         if not self.modelled:
             return A, G, cone
@@ -131,10 +135,9 @@ class Unilateral:
 
     def told(self, contact: Contact, state: State, F: Array) -> dict[str, Any]:
         """What a wrench (6,) means at a surface: push [N], drag (2,) and the slip (2,) [m/s] across it, tilt [rad]."""
-        frame, turn = state.frame(contact.frame), contact.turn(state)
-        d, across = self.d, np.concatenate((self.held, self.slides))
-        if turn is not None:
-            d, across = turn.dot(d), across.dot(turn.T)
+        frame = state.frame(contact.frame)
+        d, *rows = self.turned(contact, state)
+        across = np.concatenate(rows)
         told = {"push": d.dot(F[3:]), "drag": across.dot(F[3:]), "slip": across.dot(frame.V[3:])}
         if self.place is not None:
             n, body = self.place.dot(self.d), frame.T.rotation.dot(self.d)
