@@ -52,6 +52,7 @@ def closed_form(
     compliant = phase.compliant
     frames = [task.frame for task in motions] + [task.frame for task in compliant.values()]
     frames += [contact.frame for contact in phase.contacts.values()]
+    frames += [robot.frames[-1]]  # a posture alone has none
     known = np.zeros(robot.nv)
     for name in set(phase.fed) & set(given):
         contact = phase.contacts[name]
@@ -70,8 +71,7 @@ def closed_form(
         known += dynamics(frame).J.T @ analytic.wrench_residual(np.concatenate(rows), F)
     dynamics = _loaded(dynamics, known, phase.gravity_only)
     base = dynamics(frames[0])
-    posture = next((task for task in phase.tasks.values() if isinstance(task, PostureTask)), None)
-    vdot_posture = np.zeros(robot.nv) if posture is None else posture.Kp @ (posture.q - state.q) - posture.Kd @ state.v
+    vdot_posture = _posture(phase, state)
     commands = {name: _command(phase, name, law, state, dynamics, memory, given) for name in phase.contacts}
     held = {name: (contact.A(state), dynamics(contact.frame)) for name, contact in phase.contacts.items()}
     adot = {name: contact.Adot_V(state) for name, contact in phase.contacts.items()}
@@ -98,6 +98,15 @@ def closed_form(
         lam[name] = answer[start : start + A.shape[0]]
         start += A.shape[0]
     return tau, answer[: robot.nv], lam
+
+
+def _posture(phase: Phase, state: State) -> Array:
+    """(nv,) what postures ask for: in one metric several are one, at the mean that their weights make."""
+    tasks = {name: task for name, task in phase.tasks.items() if isinstance(task, PostureTask)}
+    total, weights = np.zeros(state.v.size), sum(phase.weights[name] for name in tasks)
+    for name, task in tasks.items():
+        total += phase.weights[name] / weights * (task.Kp @ (task.q - state.q) - task.Kd @ state.v)
+    return total
 
 
 def _one_link(robot: Robot, a: str, b: str) -> bool:

@@ -147,8 +147,8 @@ class Program:
         self.single = len(self.motion) == 1 and not other
         if any(task.raw for task in self.motion.values()) and not (self.single and len(phase.contacts) == 1):
             raise LawError(
-                f"law: book is for one contact and one motion task on it; there are {len(phase.contacts)} contacts and "
-                f"{len(self.above)} tasks of motion; use law: compensated"
+                "the book's is for one contact and one motion task on it; there are "
+                f"{len(phase.contacts)} contacts and {len(self.above)} tasks of motion; expected compensated"
             )
         # motion and posture of equal weight are one least squares problem in M
         self.merged: tuple[list[Any], PostureTask, float] | None = None
