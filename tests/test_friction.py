@@ -18,6 +18,7 @@ from wbc.errors import SpecError, WrenchError
 from wbc.friction import unilateral
 from wbc.oracle import Dynamics, closed_form, relative
 from wbc.reference import Path, hold, sine
+from wbc.resources import shipped_folder
 from wbc.run import run
 from wbc.spec import load
 from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
@@ -352,6 +353,15 @@ class TestEraser:
         figures = result("eraser_friction", *free).summary["metrics"]
         assert figures["draw.position.rms_error"] >= bars.UNCOMPENSATED
         assert figures["board.corners"] < bars.CORNERS
+
+
+def test_the_drag_follows_what_moves_the_contact_in_its_phase(tmp_path):
+    text = (shipped_folder("tasks") / "chalk_slide.yaml").read_text()
+    phases = "phases:\n  write: {until: {time: 1}}\n  rest: {tasks: [press, posture]}\nlimits:"
+    (tmp_path / "phases.yaml").write_text(text.replace("limits:", phases))
+    write, rest = build(load(tmp_path / "phases.yaml")).phases
+    assert write.contacts["board"].pushes.guide == write.tasks["draw"].desired
+    assert rest.contacts["board"].pushes.guide is None
 
 
 def test_a_run_beyond_what_the_surface_is_for_is_told_so():

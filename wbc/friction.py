@@ -59,7 +59,8 @@ class Unilateral:
     `held` (m, 3): directions across d in which the contact holds a force (m = 2: it sticks); `slides` (2 - m, 3): those
     in which it moves. `least` [N]: the smallest push. `faces`: of the cone of what is held; 4 lose up to 29 % of the
     friction, 8 up to 7.6 %. Below the speed `slip` [m/s] the drag of what slides follows the desired velocity, that of
-    `guide`. `place` (3, 3): axes, in the world, of what it closes on. `modelled`: whether the drag is in the model.
+    `guide`, which the motion task on the contact sets. `place` (3, 3): axes, in the world, of what it closes on.
+    `modelled`: whether the drag is in the model. `unilateral` makes one.
     """
 
     def __init__(
@@ -67,16 +68,16 @@ class Unilateral:
         d: Array,
         held: Array,
         slides: Array,
-        least: float = 0.0,
-        mu: float = 0.0,
-        faces: int = FACES,
-        slip: float = SLIP,
-        guide: Guide | None = None,
-        place: Array | None = None,
+        least: float,
+        mu: float,
+        faces: int,
+        slip: float,
+        place: Array | None,
     ) -> None:
         self.d, self.held, self.slides = d, held, slides
-        self.least, self.mu, self.slip, self.guide = least, mu, slip, guide
-        self.modelled, self.place = False, place
+        self.least, self.mu, self.slip, self.place = least, mu, slip, place
+        self.guide: Guide | None = None
+        self.modelled = False
         cone = inner_cone(mu, 2 if len(held) == 1 else faces) if mu and len(held) else np.zeros((0, 3))
         self._sides, self._share = cone[:, : len(held)], -cone[:, 2]
         self._least = np.concatenate(([least], np.zeros(len(cone))))
@@ -160,10 +161,9 @@ def unilateral(
     mu: float = 0.0,
     faces: int = FACES,
     slip: float = SLIP,
-    guide: Guide | None = None,
     place: Array | None = None,
 ) -> Unilateral:
-    """What a contact that pushes along d holds and where it slides, told from its A at a state.
+    """What a contact that pushes along d holds and where it slides, told from its A at a state; parameters as there.
 
     Raises WrenchError when the contact holds no force along d, when friction is modelled of what does not slide, or
     when the friction is so high that it could not be solved for.
@@ -180,7 +180,7 @@ def unilateral(
     if rank == 1:  # one way it holds, the other way it slides
         across = basis.dot(across)
     held, slides = across[:rank], across[rank:]
-    made = Unilateral(d, held, slides, least, mu, faces, slip, guide, place)
+    made = Unilateral(d, held, slides, least, mu, faces, slip, place)
     if contact.feedforward == "modelled":
         made.modelled = True
         if not len(slides):
