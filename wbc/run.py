@@ -248,6 +248,7 @@ def _meta(built: Built, seed: int) -> dict[str, Any]:
             {name: 0 for phase in built.phases for name, t in phase.tasks.items()
              if isinstance(t, MotionTask | Compliance)}
         ),
+        "pushed": {name: list(task.axes) for phase in built.phases for name, task in phase.compliant.items()},
         "phases": [phase.name for phase in built.phases], "changes": [],
         **described(built.spec.plant),
     }  # fmt: skip
