@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from .centroidal import ComTask, WholeBodyPosture
 from .contact import Contact
 from .dynamics import gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
@@ -78,7 +79,8 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
     state = State(start.robot, start.data, start.q, start.v)
     hold(state, phase)
     rows = [held.G for held in state.contacts.values()]
-    rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, MotionTask | Compliance)]
+    moving = MotionTask | Compliance | ComTask
+    rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, moving)]
     rank = np.linalg.matrix_rank(np.concatenate(rows)) if rows else 0
     postures = [name for name, task in phase.tasks.items() if isinstance(task, PostureTask)]
     tasks = dict(phase.tasks)
@@ -89,7 +91,9 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
             if note not in notes:
                 notes.append(note)
     elif not postures:
-        tasks["self_motion"] = PostureTask(start.q, kp=0.0, kd=10.0)
+        robot = start.robot
+        still = WholeBodyPosture(start.q, 0.0, 10.0, robot.nu) if robot.base else PostureTask(start.q, 0.0, 10.0)
+        tasks["self_motion"] = still
     return replace(phase, tasks=tasks, weights={name: phase.weights.get(name, 1.0) for name in tasks})
 
 
@@ -141,12 +145,10 @@ class Program:
         state = State(start.robot, start.data, start.q, start.v)
         hold(state, phase)
         sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
-        hard = [
-            c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in phase.contacts.items()
-        ]
+        hard = self._named(state)
         self.pushing = {name: c.pushes for name, c in phase.contacts.items() if c.pushes is not None}
         hard += self._cones(state)
-        hard.append(torque_map(state).rows(phase.torque.low, phase.torque.high, phase.torque.labels))
+        hard += self._dynamics(state, phase.torque.low, phase.torque.high, phase.torque.labels)
         joint = (
             phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
         )
@@ -176,14 +178,31 @@ class Program:
         """The problem of a tick, in `strict`; False when it must not be solved."""
         phase = self.phase
         self._costs = self.costs(state)
-        self._hard = [contact.rows(name, state.contacts[name]) for name, contact in phase.contacts.items()]
+        self._hard = self._held(state)
         if self.pushing:
             self._hard += self._cones(state)
-        self._hard.append(torque_map(state).rows(*bounds))
+        self._hard += self._dynamics(state, *bounds)
         if phase.joint is not None:
             self._hard.append(phase.joint.rows(state.q, state.v, dt))
         self.last = self.strict
         return _fill(self.strict, self._costs, self._hard)
+
+    def _held(self, state: State) -> list[Rows]:
+        """The constraints of the contacts."""
+        return [contact.rows(name, state.contacts[name]) for name, contact in self.phase.contacts.items()]
+
+    def _named(self, state: State) -> list[Rows]:
+        """The same with the names of their rows."""
+        contacts = self.phase.contacts
+        return [rows._replace(labels=contacts[rows.name].labels(rows.name)) for rows in self._held(state)]
+
+    def _dynamics(self, state: State, low: Array, high: Array, labels: tuple[str, ...] = ()) -> list[Rows]:
+        """Equations of motion, with the torque within bounds."""
+        return [torque_map(state).rows(low, high, labels)]
+
+    def rest(self, state: State) -> Array:
+        """(nu,) the torque that holds the robot's weight at a state [N m]."""
+        return state.gravity()
 
     def _cones(self, state: State) -> list[Rows]:
         """Inequalities of the contacts that only push."""

@@ -69,7 +69,7 @@ class Simulator:
         self._rng = np.random.default_rng(seed)
         self._delayed: deque[Array] = deque(maxlen=(plant.delay if plant is not None else 0) + 1)
         self._sensor = ForceSensor(robot) if all(_has_sensor(self.model, name) for name in SENSORS) else None
-        self._motors = _actuators(self.model, self._own_v)
+        self._motors = _actuators(self.model, self._own_v[robot.base :])
         self._driver = robot.model.createData()
         self._outside = Outside(self.model, plant)
 
@@ -79,7 +79,8 @@ class Simulator:
         mujoco.mj_step1(self.model, self.data)
         q, v = self._state()
         if self._noise is not None and (self._noise.position or self._noise.velocity):
-            q = q + self._rng.normal(0.0, 1.0, q.size) * self._noise.position
+            away = self._rng.normal(0.0, 1.0, v.size) * self._noise.position
+            q = pin.integrate(self.robot.model, q, away) if self.robot.base else q + away
             v = v + self._rng.normal(0.0, 1.0, v.size) * self._noise.velocity
         return Observation(self.data.time, q, v)
 
@@ -87,7 +88,7 @@ class Simulator:
         return to_pinocchio(self.robot.mujoco, self.data.qpos[self._own_q], self.data.qvel[self._own_v])
 
     def apply(self, tau: Array) -> None:
-        """Send a torque (nv,) [N m], after the plant's delay, and go on to the next tick.
+        """Send a torque (nu,) [N m], after the plant's delay, and go on to the next tick.
 
         A robot whose driver adds gravity does so here, from its nominal model.
         """
@@ -282,9 +283,10 @@ def _changed(robot: Robot, plant: Any, own: Array) -> mujoco.MjModel:
     if plant.payload:
         at = plant.payload_at
         model.body_mass[carrier(robot, at)[0] if at is not None else _last_body(robot.mujoco)] += plant.payload
-    model.dof_frictionloss[own] += plant.joint_friction
+    driven = own[robot.base :]
+    model.dof_frictionloss[driven] += plant.joint_friction
     if plant.armature is not None:
-        model.dof_armature[own] = plant.armature
+        model.dof_armature[driven] = plant.armature
     if plant.contact_friction:
         touching = (model.geom_contype | model.geom_conaffinity) > 0
         model.geom_friction[touching, 0] = plant.contact_friction
@@ -321,7 +323,7 @@ def _has_sensor(model: mujoco.MjModel, name: str) -> bool:
 
 
 def _actuators(model: mujoco.MjModel, own: Array) -> tuple[Any, Any, Array]:
-    """The motors of the robot's own joints, for each its velocity's number among the robot's, and its gear."""
+    """The motors of the velocities `own`, for each its velocity's number among these, and its gear."""
     dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
     motors = np.flatnonzero(np.isin(dofs, own))
     gear = model.actuator_gear[motors, 0] * model.actuator_gainprm[motors, 0]
