@@ -24,7 +24,6 @@ from .robot import Robot, State
 from .solver import DEFAULT, Solution, Solver, answer, make
 from .task import ForceLoop
 from .transition import STOP, Change, Watch
-
 from .whole_body import WholeBodyProgram
 from .wrench import Wrench
 
@@ -51,7 +50,8 @@ class Status(Enum):
 
 
 class Output(NamedTuple):
-    """What a tick answers. `tau` (nu,) [N m], of `robot.joints`, is for the driver; `wrenches` are predicted, robot on environment."""
+    """What a tick answers. `tau` (nu,) [N m], in the order of `robot.joints`, is for the driver; `vdot` (nv,) and the
+    wrenches are predicted, wrenches robot on environment."""
 
     tau: Array
     vdot: Array
