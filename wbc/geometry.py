@@ -222,7 +222,8 @@ class Geometry:
         state, friction = self.robot.state(q, np.zeros(self.robot.nv)), entry.coulomb
         key = "friction" if entry.feedforward == "modelled" else "pushes"
         origin, on = self._on(name, entry, q)
-        place = None if on is None or entry.surface is not None else origin.rotation
+        flat = on is not None and entry.surface is None and not isinstance(contact, RoundFoot)
+        place = origin.rotation if flat else None
         if entry.sole is not None:
             with self.faults.at("contacts", name, "sole"):
                 assert friction is not None

@@ -216,6 +216,39 @@ class Simulator:
                 F[3:] += sign * (R.T @ f)
         return Touch(F, points, mu)
 
+    def true_com(self) -> Array:
+        """(3,) the robot's centre of mass at the last tick, in the world."""
+        root = int(np.flatnonzero(self.model.body_weldid)[0])
+        return np.asarray(self.data.subtree_com[self.model.body_rootid[root]].copy())
+
+    def true_slip(self, frame: str) -> Array:
+        """(points, 3) velocity across the contact of each touching geom of the body of `frame`, where it touches, less
+        that of what it touches, in the world; zero where nothing is touched."""
+        (body, *_), rigid = carried(self.model, self.data, frame), self.robot.mujoco.body_weldid
+        model, data = self.model, self.data
+        touching = (model.geom_contype | model.geom_conaffinity) > 0
+        own = np.flatnonzero((rigid[model.geom_bodyid] == rigid[body]) & touching)
+        out, force = np.zeros((own.size, 3)), np.zeros(6)
+        for i in range(data.ncon):
+            contact = data.contact[i]
+            inside = [geom in own for geom in contact.geom]
+            if inside[0] == inside[1]:
+                continue
+            mujoco.mj_contactForce(model, data, i, force)
+            if force[0] <= 0.0:
+                continue
+            geoms = contact.geom if inside[0] else contact.geom[::-1]
+            v = self._velocity_at(geoms[0], contact.pos) - self._velocity_at(geoms[1], contact.pos)
+            n = contact.frame[:3]
+            out[int(np.flatnonzero(own == geoms[0])[0])] = v - n * (n @ v)
+        return out
+
+    def _velocity_at(self, geom: int, place: Array) -> Array:
+        """(3,) velocity of a geom's material point."""
+        J = np.zeros((3, self.model.nv))
+        mujoco.mj_jac(self.model, self.data, J, None, place, int(self.model.geom_bodyid[geom]))
+        return np.asarray(J @ self.data.qvel)
+
     def _equalities(self) -> Iterator[tuple[Array, Array, Array, Array]]:
         """Of every weld and connection of two sites: its place, moment and force on the body of the first site, in the
         world's axes, and both bodies.
