@@ -253,6 +253,23 @@ class Robot:
         """(nq,) the configuration with these joint positions (nu,); a floating base is where `home` has it."""
         return np.concatenate((self.keyframes["home"][:7], joints)) if self.base else joints
 
+    def from_mujoco(self, qpos: Array, qvel: Array, qacc: Array | None = None) -> tuple[Array, ...]:
+        """MuJoCo's (qpos, qvel) or (qpos, qvel, qacc) of this robot as (q, v) or (q, v, vdot). Exact."""
+        mj = self._compiled()
+        found = models.to_pinocchio(mj, qpos, qvel)
+        return found if qacc is None else (*found, models.acceleration_to_pinocchio(mj, qpos, qvel, qacc))
+
+    def to_mujoco(self, q: Array, v: Array, vdot: Array | None = None) -> tuple[Array, ...]:
+        """(q, v) or (q, v, vdot) as MuJoCo's (qpos, qvel) or (qpos, qvel, qacc). Exact."""
+        mj = self._compiled()
+        found = models.to_mujoco(mj, q, v)
+        return found if vdot is None else (*found, models.acceleration_to_mujoco(mj, q, v, vdot))
+
+    def _compiled(self) -> Any:
+        if self.mujoco is None:
+            raise ModelError("only a robot that was loaded from a file has a MuJoCo model")
+        return self.mujoco
+
     def state(self, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> State:
         """A `State` with storage of its own."""
         return State(self, self.model.createData(), np.asarray(q, float), np.asarray(v, float), t, dt)

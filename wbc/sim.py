@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from . import material
+from . import model as models
 from .errors import ModelError, SimulationError
 from .model import body_name, quietly, to_pinocchio
 from .outside import Outside, carried, has_site
@@ -281,11 +282,7 @@ class Simulator:
 
 def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:
     """Pinocchio's q as MuJoCo's qpos: quaternions wxyz."""
-    qpos = np.array(q, float)
-    for joint in np.flatnonzero(model.jnt_type < 2):
-        at = model.jnt_qposadr[joint] + (3 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE else 0)
-        qpos[at : at + 4] = np.roll(q[at : at + 4], 1)
-    return qpos
+    return models.to_mujoco(model, q, np.zeros(model.nv))[0]
 
 
 def own_coordinates(robot: Robot) -> tuple[Array, Array]:
