@@ -66,7 +66,7 @@ class TestSurfaceCone:
         U = analytic.surface_cone(0.5, 0.1, 0.0)
         F = np.array([0.0, 0.05, 0.0, 0.1, 0.0, 1.0])
         assert (U @ F).min() >= 0.0
-        assert (U @ (F + [1e-6, 0, 0, 0, 0, 0])).min() < 0.0
+        assert (U @ (F + 1e-6 * np.eye(6)[0])).min() < 0.0
 
     def test_a_pull_is_outside(self) -> None:
         assert (analytic.surface_cone(0.5, 0.1, 0.1) @ [0, 0, 0, 0, 0, -1.0]).min() < 0.0

@@ -84,7 +84,9 @@ class TestSole:
     def test_labels_name_what_binds(self, g1):
         cone, sole = self.sole(g1)
         labels = sole.rows("foot", cone).labels
-        count = {name: sum(label == f"foot.{name}" for label in labels) for name in ("push", "friction", "pressure", "yaw")}
+        count = {
+            name: sum(label == f"foot.{name}" for label in labels) for name in ("push", "friction", "pressure", "yaw")
+        }
         assert count == {"push": 1, "friction": 4, "pressure": 4, "yaw": 8}
         assert len(labels) == len(cone.rows)
 
@@ -119,7 +121,9 @@ def test_settling_damps_motion_against_a_contact_within_its_bound(go2, draw):
         state = draw(go2)
         plain = contact.hold(state)
         contact.settling = Settling(rate=3.0, most=0.5)
-        np.testing.assert_allclose(contact.hold(state).rhs, plain.rhs - np.clip(3.0 * plain.slip, -0.5, 0.5), atol=1e-14)
+        np.testing.assert_allclose(
+            contact.hold(state).rhs, plain.rhs - np.clip(3.0 * plain.slip, -0.5, 0.5), atol=1e-14
+        )
         contact.settling = None
 
 
@@ -206,7 +210,7 @@ class TestDistribution:
         np.testing.assert_allclose((lam[:, 2:] * feet).sum(axis=0)[:2] / lam[:, 2].sum(), c[:2], atol=1e-9)
 
     def test_it_costs_nothing_whatever_the_motion(self, g1, draw, rng):
-        """For any vdot there are multipliers that carry it and that the rows want: motion and distribution do not compete."""
+        """For any vdot there are multipliers that carry it and that the rows want: they compete with no motion."""
         state = draw(g1)
         hold(state, place(g1, contacts_of(g1), {}, {}))
         for shares in ({}, {"left_sole": 0.7, "right_sole": 0.3}):

@@ -9,17 +9,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from wbc.centroidal import ComTask, DistributionTask, WholeBodyPosture, com, mass
-from wbc.contact import AxesContact, Settling, WorldAxesContact
+from wbc.centroidal import ComTask, WholeBodyPosture, com, mass
+from wbc.contact import AxesContact, Settling
 from wbc.controller import Controller, Status
-from wbc.errors import LawError, ModelError, StateError
+from wbc.errors import ModelError
 from wbc.foot import RoundFoot
 from wbc.friction import unilateral
 from wbc.reference import Hold
 from wbc.robot import Robot
 from wbc.surface import Sole
 from wbc.task import MotionTask
-from wbc.whole_body import WholeBodyProgram
 from wbc.wrench import VELOCITY_AXES
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -153,7 +152,9 @@ class TestConversions:
         q, v = at_random(walker, 3.0)
         qpos, qvel = walker.to_mujoco(q, v)
         mujoco.mj_integratePos(walker.mujoco, qpos, qvel, 1e-6)
-        np.testing.assert_allclose(walker.from_mujoco(qpos, qvel)[0], pin.integrate(walker.model, q, 1e-6 * v), atol=1e-11)
+        np.testing.assert_allclose(
+            walker.from_mujoco(qpos, qvel)[0], pin.integrate(walker.model, q, 1e-6 * v), atol=1e-11
+        )
 
     def test_acceleration_is_that_of_the_same_torque(self, walker, at_random, rng):
         """MuJoCo's qacc of a torque is Pinocchio's vdot of it, with the term -w x v of the turning base."""
@@ -205,7 +206,9 @@ class TestOracle:
         models = pin.StdVec_RigidConstraintModel()
         for frame in frames:
             models.append(
-                pin.RigidConstraintModel(kind, walker.model, frame.parentJoint, frame.placement, pin.ReferenceFrame.LOCAL)
+                pin.RigidConstraintModel(
+                    kind, walker.model, frame.parentJoint, frame.placement, pin.ReferenceFrame.LOCAL
+                )
             )
         datas = pin.StdVec_RigidConstraintData()
         for each in models:
@@ -215,7 +218,7 @@ class TestOracle:
         settings = pin.ProximalSettings(1e-14, 1e-14, 10)
         for _ in range(20):
             q, v = at_random(walker)
-            out, state = first_tick(controller, q, v)
+            out, _ = first_tick(controller, q, v)
             tau = np.r_[np.zeros(6), out.tau]
             vdot = pin.constraintDynamics(walker.model, data, q, v, tau, models, datas, settings)
             np.testing.assert_allclose(out.vdot, vdot, atol=1e-9 * (1.0 + np.abs(vdot).max()))
@@ -228,7 +231,7 @@ class TestOracle:
                     np.testing.assert_allclose(out.wrenches[name], F, atol=size)
 
     def test_the_optimum_is_a_closed_form_of_the_stacked_tasks(self, walker, at_random):
-        """No inequality is active: contacts and tasks hold exactly, the posture in their null space, found by another way;
+        """No inequality is active: contacts and tasks hold exactly, the posture in their null space, found another way;
         of all wrenches that the motion needs these are the smallest."""
         controller = free_controller(walker)
         for _ in range(10):

@@ -54,9 +54,9 @@ class Held(NamedTuple):
 class Settling(NamedTuple):
     """How motion against a contact dies out: A Vdot + Adot V = -c with c = `rate` A V, each row at most `most`.
 
-    Without it a contact that is held by accelerations alone drifts by rounding and by the softness of what it stands on.
-    It is damping, never stiffness: where the contact is, there it stays. The bound keeps a contact that starts unsettled
-    from asking for more than its environment can give: well below g, a floor need not pull.
+    Without it a contact that is held by accelerations alone drifts by rounding and by the softness of what it stands
+    on. It is damping, never stiffness: where the contact is, there it stays. The bound keeps a contact that starts
+    unsettled from asking for more than its environment can give: well below g, a floor need not pull.
     """
 
     rate: float = 20.0  # [1/s]

@@ -118,6 +118,7 @@ class Controller:
         self.notes: list[str] = []
         program = WholeBodyProgram if robot.base else Program
         self._programs: list[Program] = [program(settle_posture(phase, start, self.notes), start) for phase in phases]
+        self.notes += dict.fromkeys(note for each in self._programs for note in each.notes)
         self._contacts = {name: contact for phase in phases for name, contact in phase.contacts.items()}
         self._feeling = {name: frame for phase in phases for name, frame in phase.feeling.items()}
         self._index = {phase.name: i for i, phase in enumerate(phases)}
@@ -170,7 +171,10 @@ class Controller:
 
     @property
     def workspace(self) -> Workspace:
-        """Holds the last problem until the next tick; an answer's torque is `product("torque", x) + state.bias`, of the driven joints."""
+        """Holds the last problem until the next tick.
+
+        An answer's torque is `product("torque", x) + state.bias`, of a floating base without the first six.
+        """
         return self._program.last
 
     def reset(self, q: Array, v: Array, tau: Array | None = None) -> None:

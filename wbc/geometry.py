@@ -12,8 +12,8 @@ import pinocchio as pin
 
 from . import quantity
 from . import spec as specs
-from .closing import Goal
 from .centroidal import com
+from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, Settling, SphereContact, WorldAxesContact
 from .faults import Faults, Place
 from .foot import RoundFoot

@@ -69,6 +69,9 @@ def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any
         if contact is not None and contact not in contacts:
             raise NameNotFound(f"contact (of task {name!r})", contact, contacts)
         robot.frame_id(getattr(task, "frame", robot.frames[0]))
+        for shared in getattr(task, "shares", ()):
+            if shared not in contacts:
+                raise NameNotFound(f"contact (of task {name!r})", shared, contacts)
     torque, joint = make_limits(robot, limits)
     weights = {name: float(weight) for name, (_, weight) in placed.items()}
     return Phase(dict(contacts), {name: task for name, (task, _) in placed.items()}, weights, torque, joint)
@@ -87,7 +90,7 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
     if rank >= start.robot.nv:
         for name in postures:
             del tasks[name]
-            note = f"{name}: dropped, contacts and motion leave no null space of the {start.robot.nv} joints"
+            note = f"{name}: dropped, contacts and motion leave no null space of the {start.robot.nu} joints"
             if note not in notes:
                 notes.append(note)
     elif not postures:
@@ -113,6 +116,8 @@ def carry(state: State, phase: Phase) -> None:
 
 class Program:
     """The program of one phase. Its structure is fixed here; `assemble` fills in the numbers of a tick."""
+
+    notes: tuple[str, ...] = ()  # what its structure has to tell
 
     def __init__(self, phase: Phase, start: State) -> None:
         self.phase = phase

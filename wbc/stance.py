@@ -7,8 +7,8 @@
     CONTACT.rest.error                    predicted wrench against the true one at rest, over m g [1, m]
     weight.rest.error                     sum of the predicted vertical forces against m g at rest, relative [1]
 
-At rest is where no velocity exceeds `REST` after `settle`. Slip is that of the robot's material points where they touch,
-less that of what they touch: a foot that rolls does not slip. All are true, of every tick.
+At rest is where no velocity exceeds `REST` after `settle`. Slip is that of the robot's material points where they
+touch, less that of what they touch: a foot that rolls does not slip. All are true, of every tick.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 _PARTS = {"friction": FRICTION, "pressure": PRESSURE, "yaw": YAW}
 
 
-class SoleCone(NamedTuple):
-    """What a sole asks of its multipliers at a tick: rows lambda >= least, the push first. As `friction.Cone`."""
+class SoleCone(Cone):
+    """What a sole asks of its multipliers at a tick: rows (17, k) lambda >= least, the push first, `up` in its middle.
 
-    rows: Array  # (17, k)
-    least: Array  # (17,) [N, N m]
-    up: Array  # (k,) multipliers of a unit push in the middle of the sole
+    There is no force across by itself: what is held across the push comes with moments.
+    """
+
+    __slots__ = ()
 
     def cut(self, lam: Array) -> tuple[Array, str]:
         """(k,) the multipliers with the least push or more, the rest of them scaled into the cone; what cut them."""
@@ -62,10 +63,12 @@ class Sole(Unilateral):
 
     def hold(
         self, contact: Contact, state: State, A: Array, G: Array, inverse: Array
-    ) -> tuple[Array, Array, SoleCone | None]:  # type: ignore[override]
+    ) -> tuple[Array, Array, Cone | None]:
         if self._lifted:
             return A, G, None
-        return A, G, SoleCone(self._wrenches.dot(A.T), self._least, inverse[:, 3:].dot(self.d))
+        k = len(A)
+        nothing = (np.zeros((0, k)), np.zeros((k, 0)))
+        return A, G, SoleCone(self._wrenches.dot(A.T), self._least, *nothing, inverse[:, 3:].dot(self.d))
 
     def rows(self, name: str, cone: Cone) -> Rows:
         labels = [f"{name}.push"]

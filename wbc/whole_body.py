@@ -29,7 +29,7 @@ class WholeBodyProgram(Program):
     """As `Program`, for a floating base."""
 
     def __init__(self, phase: Phase, start: State) -> None:
-        if any(getattr(task, "raw", False) for task in phase.tasks.values()):
+        if any(getattr(task, "law", "") == "book" or getattr(task, "raw", False) for task in phase.tasks.values()):
             raise LawError("law: book is for a fixed base; use law: compensated")
         state = State(start.robot, start.data, start.q, start.v)
         hold(state, phase)
@@ -38,15 +38,17 @@ class WholeBodyProgram(Program):
         if self.rows:
             values = np.linalg.eigvalsh(mobility(state, np.concatenate([h.G for h in state.contacts.values()])))
             self.rank = int((values > RANK_TOLERANCE * values[-1]).sum())
+        if self.redundant:
+            self.notes = (f"contacts hold {self.rows} axes, of which {self.rank} are independent",)
         own = (ForceTask, PostureTask, DistributionTask)
         self._tasks: dict[str, Task] = {n: t for n, t in phase.tasks.items() if not isinstance(t, own)}
         given = [(n, t) for n, t in phase.tasks.items() if isinstance(t, DistributionTask)]
         self._sharing = [(t, phase.weights[n]) for n, t in given] or [(DistributionTask(), 1.0)]
         forced = {task.contact for task in phase.tasks.values() if isinstance(task, ForceTask)}
         self._sharers = [name for name, contact in phase.contacts.items() if contact.k and name not in forced]
-        self._stack: tuple[Array, Array, Array] | None = None
+        self._together: tuple[Array, Array, Array] | None = None
         super().__init__(phase, start)
-        self._stack = None
+        self._together = None
 
     @property
     def redundant(self) -> bool:
@@ -54,7 +56,7 @@ class WholeBodyProgram(Program):
         return self.rank < self.rows
 
     def assemble(self, state: State, bounds: tuple[Array, Array], dt: float) -> bool:
-        self._stack = self._independent(state)
+        self._together = self._independent(state)
         return super().assemble(state, bounds, dt)
 
     def _independent(self, state: State) -> tuple[Array, Array, Array]:
@@ -74,7 +76,7 @@ class WholeBodyProgram(Program):
     def _held(self, state: State) -> list[Rows]:
         if not self.redundant:
             return super()._held(state)
-        G, rhs, _ = self._stack or self._independent(state)
+        G, rhs, _ = self._together or self._independent(state)
         return [Rows("contacts", {"vdot": G}, rhs, rhs)]
 
     def _named(self, state: State) -> list[Rows]:
@@ -87,7 +89,7 @@ class WholeBodyProgram(Program):
 
     def costs(self, state: State) -> list[tuple[Rows, float]]:
         weights = self.phase.weights
-        G, rhs, W = self._stack or self._independent(state)
+        G, rhs, W = self._together or self._independent(state)
         # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
         costs = [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0)] if self.rows else []
         tasks = [(task.rows(state), weights[name]) for name, task in self._tasks.items()]
@@ -98,7 +100,7 @@ class WholeBodyProgram(Program):
             tasks += [(posture.rows(state), weights[name]) for name, posture in self.posture.items()]
         else:
             state.primary = (G, W, np.zeros((0, 0)))
-        for contact, (name, force) in self.force.items():
+        for name, force in self.force.values():
             tasks.append((force.rows(state), weights[name]))
         if self._sharers:
             tasks += [(task.rows(state, self._sharers), weight) for task, weight in self._sharing]

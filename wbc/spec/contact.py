@@ -258,7 +258,10 @@ class Contact(OneOf):
         if self.radius is not None and (self.kind != "holds" or set(self.constrained) != {"vx", "vy", "vz"}):
             yield ("radius",), "a round foot holds a point; expected `holds: [vx, vy, vz]`"
         if self.radius is not None and self.push is not None and self.push.along != "-z":
-            yield ("radius",), f"a round foot pushes along -z of its plane; expected `pushes: -z`, got {self.push.along}"
+            yield (
+                ("radius",),
+                f"a round foot pushes along -z of its plane; expected `pushes: -z`, got {self.push.along}",
+            )
         if self.sole is None:
             return
         if self.holds != "all":
@@ -267,8 +270,15 @@ class Contact(OneOf):
             yield ("sole",), f"a sole pushes along z; expected `pushes: -z`, got {self.push.along}"
         if self.friction is None:
             yield ("sole",), "a sole needs its friction; expected `friction: MU` beside it"
-        if isinstance(self.friction, Friction) and self.friction.faces != 4 and "faces" in self.friction.model_fields_set:
-            yield ("friction", "faces"), f"the corners of a sole have 4 faces each; expected 4, got {self.friction.faces}"
+        if (
+            isinstance(self.friction, Friction)
+            and self.friction.faces != 4
+            and "faces" in self.friction.model_fields_set
+        ):
+            yield (
+                ("friction", "faces"),
+                f"the corners of a sole have 4 faces each; expected 4, got {self.friction.faces}",
+            )
 
     def _of_surface(self) -> Iterator[Message]:
         """A surface holds the frame along its normal, and leaves one motion on it."""
