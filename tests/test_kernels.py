@@ -1,6 +1,7 @@
 """Compiled kernels against the formula in numpy, on contiguous, strided and read-only arrays."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from wbc import kernels
@@ -20,12 +21,37 @@ def layout(request):
     return lambda *arrays: [layouts(np.asarray(a, float))[request.param] for a in arrays]
 
 
-def test_frame_table(rng, layout):
-    J, drift, v, table = rng.normal(size=(6, 5)), rng.normal(size=6), rng.normal(size=5), np.empty((6, 7))
-    kernels.frame_table(*layout(J, drift, v), table)
-    turned = np.vstack((J[3:], J[:3]))
-    expected = np.column_stack((turned, np.r_[drift[3:], drift[:3]], turned @ v))
-    np.testing.assert_allclose(table, expected, rtol=1e-12, atol=1e-14)
+def test_select_and_wanted(rng, layout):
+    basis, table, out, bias = rng.normal(size=(5, 6)), rng.normal(size=(6, 9)), np.empty((5, 9)), np.empty(5)
+    kernels.select(*layout(basis, table), out, bias)
+    np.testing.assert_allclose(out, basis @ table, rtol=1e-12, atol=1e-14)
+    np.testing.assert_array_equal(bias, -out[:, 7])
+    free, y, b = rng.normal(size=(3, 6)), rng.normal(size=6), np.empty(5)
+    kernels.wanted(*layout(free, y, bias), b)
+    np.testing.assert_allclose(b, bias + np.r_[0, 0, free @ y], rtol=1e-12, atol=1e-14)
+
+
+def test_spring(rng, layout):
+    K, goal, at, rate, out = rng.normal(size=(3, 5)), *rng.normal(size=(2, 2)), rng.normal(size=3), np.empty(3)
+    kernels.spring(*layout(K, goal, at, rate), out)
+    np.testing.assert_allclose(out, K @ np.r_[goal - at, rate], rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 0.0999, 0.1001, 1.0, 2.0, 3.0, np.pi - 1e-3, np.pi - 1e-7])
+def test_log(rng, layout, angle):
+    for axis in (*np.eye(3), *-np.eye(3), *rng.normal(size=(20, 3))):
+        w, v, X = angle * axis / np.linalg.norm(axis), rng.normal(size=3), np.empty(6)
+        T = pin.exp6(np.r_[v, w])
+        kernels.log(*layout(T.rotation, T.translation), X)
+        np.testing.assert_allclose(X, np.r_[w, v], atol=1e-13 if angle < 3.0 else 1e-8)
+        np.testing.assert_allclose(pin.exp6(np.r_[X[3:], X[:3]]).homogeneous, T.homogeneous, atol=1e-14)
+
+
+def test_active():
+    z = np.array([0.0, 5.0, -5.0, 0.0, 1e-10])
+    assert not kernels.active(z, 1, 3, 1e-9)
+    assert kernels.active(z, 2, 3, 1e-9)
+    assert kernels.active(-z, 1, 2, 1e-9)
 
 
 def test_gauss(rng, layout):

@@ -133,25 +133,25 @@ def test_each_bar_counts(change):
     assert not Certificate(**(sound | change)).ok
 
 
-def replaced(change: Callable[[Held, State], dict]) -> Callable:
+def spoiled(change: Callable[[Held, State], None]) -> Callable:
     """`Contact._hold` with some of its answer changed."""
     right = Contact._hold
 
     def wrong(self: Contact, state: State, *args):
         held = right(self, state, *args)
-        return held._replace(**change(held, state))
+        change(held, state)
+        return held
 
     return wrong
 
 
-def without_drift(held: Held, state: State) -> dict:
-    table = held.table.copy()
-    table[:, state.v.size] = 0.0
-    return {"rhs": 0.0 * held.rhs, "table": table}
+def without_drift(held: Held, state: State) -> None:
+    held.table[:, state.v.size] = 0.0
+    held.bias[:] = 0.0
 
 
-def against_the_motion(held: Held, state: State) -> dict:
-    return {"slip": -held.slip}
+def against_the_motion(held: Held, state: State) -> None:
+    held.slip[:] = -held.slip
 
 
 def rows_with(metric: Callable[[State], np.ndarray]) -> Callable:
@@ -167,8 +167,8 @@ def forgetful(self: ForceTask, state: State, right=ForceTask.rows):
 
 SABOTAGE = {
     "identity metric": (wbc.task, "inertia", lambda mobility: np.eye(len(mobility)), ["book"]),
-    "no Jdot v": (Contact, "_hold", replaced(without_drift), LAWS),
-    "damping that drives": (Contact, "_hold", replaced(against_the_motion), LAWS),
+    "no Jdot v": (Contact, "_hold", spoiled(without_drift), LAWS),
+    "damping that drives": (Contact, "_hold", spoiled(against_the_motion), LAWS),
     "posture in everyone's way": (PostureTask, "rows", rows_with(lambda state: state.M), LAWS),
     "no integral": (ForceTask, "rows", forgetful, LAWS),
 }

@@ -26,12 +26,12 @@ SOLE_RADIUS = 0.05  # [m] at which a moment of a contact weighs as much as a for
 
 def mass(state: State) -> float:
     """Of the whole robot [kg]."""
-    return float(state.data.mass[0])
+    return float(state.terms.data.mass[0])
 
 
 def com(state: State) -> tuple[Array, Array, Array]:
     """(3,) the centre of mass in the world [m], (3, nv) its Jacobian, (3,) Jdot v [m/s^2]."""
-    robot, data = state.robot, state.data
+    robot, data = state.robot, state.terms.data
     if robot.base:  # its acceleration is what the base's equations of force say, over the mass
         drift = data.oMi[1].rotation.dot(data.nle[:3]) / data.mass[0] + robot.model.gravity.linear
     else:
@@ -138,8 +138,7 @@ class WholeBodyPosture(PostureTask):
         """(nv,) vdot_p [rad/s^2]; the base's is damping alone."""
         vdot = np.empty(state.v.size)
         vdot[:6] = -self._damping * state.v[:6]
-        vdot[6:] = 0.0
-        kernels.feedback(self._K, self.q[7:] - state.q[7:], state.v[6:], vdot[6:])
+        kernels.spring(self._K, self.q[7:], state.q[7:], state.v[6:], vdot[6:])
         return vdot
 
     def rows(self, state: State) -> Rows:

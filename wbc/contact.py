@@ -11,11 +11,12 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from . import kernels
 from .errors import WrenchError
 from .friction import Cone, Unilateral
 from .qp import Array, Rows
@@ -26,25 +27,30 @@ _ZERO = np.zeros(3)
 _ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))  # Pinocchio's order is linear first
 
 
-class Held(NamedTuple):
+class Held:
     """What a contact demands at this tick: G vdot = rhs, with G = A J and rhs = -(A Jdot v + Adot V).
 
-    `table` (6, nv + 2) are the contact's rows A, then its free rows, times J, Jdot v and V of the frame.
+    A (k, 6); `Adot_V` (k,), None where it is always zero; `free` (6 - k, 6): rows that pick the free motion; `inverse`
+    (k, 6): (A')^+, multipliers of a wrench; `table` (6, nv + 2): A, then the free rows, times J, Jdot v and V of the
+    frame; `stack` (6, nv) and `bias` (6,): what they ask of vdot when the free ones do not accelerate, G and rhs first;
+    `slip` (k,): A V, zero while the contact holds; `B` (k, 6) is B': the wrench of the robot on its environment is
+    B lambda, A' lambda where friction is not modelled; `push` (k, nv): B' J, so that the torque of the multipliers is
+    push' lambda; `cone`: inequalities on them, where the contact only pushes. Its arrays are filled again at the next
+    tick.
     """
 
-    frame: str
-    A: Array  # (k, 6)
-    Adot_V: Array | None  # (k,), None where it is always zero
-    free: Array  # (6 - k, 6) rows that pick the free motion
-    inverse: Array  # (k, 6) (A')^+, multipliers of a wrench
-    table: Array
-    bias: Array  # (6,) what G vdot is of all rows of `table` when the free ones do not accelerate: rhs comes first
-    G: Array  # (k, nv)
-    rhs: Array  # (k,)
-    slip: Array  # (k,) A V, zero while the contact holds
-    B: Array  # (k, 6) B': the wrench of the robot on its environment is B lambda; A where friction is not modelled
-    push: Array  # (k, nv) B' J, so that the torque of the multipliers is push' lambda
-    cone: Cone | None = None  # inequalities on the multipliers, where the contact only pushes
+    A: Array
+    Adot_V: Array | None
+    free: Array
+    inverse: Array
+    B: Array
+    push: Array
+    cone: Cone | None
+
+    def __init__(self, frame: str, n: int, k: int, rows: int) -> None:
+        self.frame, self.table, self.bias = frame, np.empty((rows, n + 2)), np.empty(rows)
+        self.stack, self.G, self.rhs = self.table[:, :n], self.table[:k, :n], self.bias[:k]
+        self.slip = self.table[:k, n + 1]
 
     def unconstrained(self, F: Array) -> Array:
         """(6,) the part of a wrench that the constraint does not cause: F - A' (A')^+ F."""
@@ -128,21 +134,31 @@ class Contact(ABC):
         return self._hold(state, A, free, self.pseudo_inverse(A), np.concatenate((A, free)), self.Adot_V(state))
 
     def _hold(self, state: State, A: Array, free: Array, inverse: Array, basis: Array, Adot_V: Array | None) -> Held:
-        n, k = state.v.size, self.k
-        table = basis.dot(state.frame(self.frame).table)
-        bias = -table[:, n]
-        rhs = bias[:k]
+        held: Held | None = state.terms.held.get(self)
+        if held is None or held.bias.size != len(basis):
+            held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, len(basis))
+        kernels.select(basis, state.frame(self.frame).table, held.table, held.bias)
         if Adot_V is not None:
-            rhs -= Adot_V
+            held.rhs -= Adot_V
         if self.settling is not None:
-            rhs -= self.settling.asked(table[:k, n + 1])
-        G = table[:k, :n]
-        B, push, cone = (A, G, None) if self.pushes is None else self.pushes.hold(self, state, A, G, inverse)
-        return Held(self.frame, A, Adot_V, free, inverse, table, bias, G, rhs, table[:k, n + 1], B, push, cone)
+            held.rhs -= self.settling.asked(held.slip)
+        held.A, held.Adot_V, held.free, held.inverse = A, Adot_V, free, inverse
+        if self.pushes is None:
+            held.B, held.push, held.cone = A, held.G, None
+        else:
+            held.B, held.push, held.cone = self.pushes.hold(self, state, A, held.G, inverse)
+        return held
 
     def rows(self, name: str, held: Held) -> Rows:
         """The hard rows A (J vdot + Jdot v) = -Adot V."""
         return Rows(name, {"vdot": held.G}, held.rhs, held.rhs)
+
+    def fill(self, held: Held, rows: Rows) -> None:
+        """Put them in rows where they stand."""
+        A: Any = rows.A
+        A["vdot"][:] = held.G
+        rows.lo[:] = held.rhs
+        rows.hi[:] = held.rhs
 
     def labels(self, name: str) -> tuple[str, ...]:
         """Names of its rows and multipliers."""

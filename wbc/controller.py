@@ -20,7 +20,7 @@ from .impedance import NEW, Felt
 from .kernels import torque
 from .phase import Phase, Program, carry, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
-from .robot import Robot, State
+from .robot import Robot, State, Terms
 from .solver import DEFAULT, Solution, Solver, answer, make
 from .task import ForceLoop
 from .transition import STOP, Change, Watch
@@ -106,13 +106,12 @@ class Controller:
         q: Array | None = None,
     ) -> None:
         self.robot, self.dt = robot, 1.0 / rate
-        self._data = robot.model.createData()
+        self._terms = Terms(robot)
         self._solver = make(solver)
         # the yielding problem has another shape: a solver of its own keeps both warm
         self._second = make(solver) if isinstance(solver, str) else self._solver
-        start = State(
-            robot, self._data, robot.keyframes["home"] if q is None else np.array(q, float), np.zeros(robot.nv)
-        )
+        q = robot.keyframes["home"] if q is None else np.array(q, float)
+        start = State(self._terms, q, np.zeros(robot.nv))
         if phases is None:
             phases = [place(robot, contacts or {}, tasks or {}, limits or {})]
         self.notes: list[str] = []
@@ -187,7 +186,7 @@ class Controller:
             if fault := _fault(name, value, size):
                 raise StateError(fault)
         q, v = np.array(q, float), np.array(v, float)
-        state = State(self.robot, self._data, q, v)
+        state = State(self._terms, q, v)
         gravity = state.gravity()[self.robot.base :]
         if tau is None:
             total = self._programs[0].rest(state)
@@ -233,11 +232,14 @@ class Controller:
             return self._safe_hold(
                 q, v, Status.STOPPED if stopped else Status.SAFE_HOLD, f"{missed} ticks missed" if missed else ""
             )
-        dt = self.dt if memory.t is None else min(max(t - memory.t, 0.0), 2.0 * self.dt)
+        dt = self.dt
         if memory.t is None:
             memory = memory._replace(start=t, phase_start=t)
+        else:
+            past, most = t - memory.t, 2.0 * dt
+            dt = 0.0 if past < 0.0 else past if past < most else most
         program = self._programs[memory.phase]
-        state = self.state = State(self.robot, self._data, q, v, t - memory.start, dt)
+        state = self.state = State(self._terms, q, v, t - memory.start, dt)
         state.starts = program.named(memory.starts)
         hold(state, program.phase)
         refused = self._read(state, memory, measured, targets)
@@ -264,15 +266,14 @@ class Controller:
         state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
         if program.phase.compliant:
             memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
-        bounds = program.phase.torque.bounds(tau_last, self.dt)
-        if not program.assemble(state, bounds, self.dt):
+        if not program.assemble(state, tau_last, self.dt):
             return self._hold(program.last.fault())
         solution = answer(self._solver, program.strict.problem)
         if not solution.accepted and program.relax(state):
             solution = answer(self._second, program.last.problem)
         if not solution.accepted:
             return self._hold(program.last.fault() or solution.reason)
-        return self._accept(program, state, solution, tau_last, bounds, memory, t, refused, missed)
+        return self._accept(program, state, solution, tau_last, memory, t, refused, missed)
 
     def _enter(self, state: State, memory: Memory, change: Change, t: float, tau: Array) -> Memory:
         """Another phase begins at this tick: its contacts are held, and it is handed what goes on."""
@@ -351,13 +352,13 @@ class Controller:
         return refused
 
     def _accept(
-        self, program: Program, state: State, solution: Solution, tau_last: Array, bounds: tuple[Array, Array],
-        memory: Memory, t: float, refused: list[str], missed: int,
+        self, program: Program, state: State, solution: Solution, tau_last: Array, memory: Memory, t: float,
+        refused: list[str], missed: int,
     ) -> Output:  # fmt: skip
         workspace, force, yielded = program.last, program.force, program.yielded
         slices = workspace.variables.slices
         tau = np.empty(tau_last.size)  # in its bounds: the certificate's tolerance must not reach the motors
-        torque(workspace.coefficients("torque"), solution.x, state.bias[self.robot.base :], *bounds, tau)
+        torque(workspace.coefficients("torque"), solution.x, state.bias[self.robot.base :], *program.window, tau)
         wrenches, loops, lam = {}, dict(memory.loops), {}
         for name, held in state.contacts.items():
             lam[name] = solution.x[slices[name]]
@@ -404,7 +405,7 @@ class Controller:
         """g(q) + J' F with the last certified wrenches, plus damping, at the last valid state, in limit and rate."""
         memory = self._remembered
         phase = self._programs[memory.phase].phase
-        last, state = self.state, State(self.robot, self._data, q, v, self.state.t, self.dt)
+        last, state = self.state, State(self._terms, q, v, self.state.t, self.dt)
         state.starts, self.state = last.starts, state
         hold(state, phase)
         tau = state.gravity() - HOLD_DAMPING * state.M.diagonal() * v

@@ -7,7 +7,7 @@ bias = h + J' F of the wrenches that are known
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from eigenpy import LLT, ComputationInfo
@@ -43,6 +43,14 @@ def torque_map(state: State) -> TorqueMap:
     for name, held in state.contacts.items():
         A[name] = held.push.T
     return TorqueMap(A, state.bias)
+
+
+def fill(state: State, rows: Rows) -> None:
+    """Put the coefficients of the map in rows where they stand."""
+    A: Any = rows.A
+    A["vdot"][:] = state.M
+    for name, held in state.contacts.items():
+        A[name][:] = held.push.T
 
 
 def mobility(state: State, G: Array) -> Array:

@@ -112,7 +112,7 @@ class Compliance:
 
     def feel(self, state: State, measured: Array | None, tau: Array, last: Felt) -> Felt:
         """The push of this tick; `measured` (6,) at the frame, `tau` what acted since the last tick."""
-        F, V, Vdot, observed = last.F, state.frame(self.frame).V, None, None
+        F, V, Vdot, observed = last.F, state.frame(self.frame).V.copy(), None, None
         if self.source == "measured" and measured is not None:
             alpha = 1.0 if self.filter is None or F is None else smoothing(self.filter, state.dt)
             F = measured if F is None else F + alpha * (measured - F)

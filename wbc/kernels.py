@@ -34,18 +34,72 @@ def _inner(function: _Function) -> _Function:
     return compiled
 
 
-@_compiled(types.void, _m, _v, _v, _M)
-def frame_table(J: Array, drift: Array, v: Array, table: Array) -> None:
-    """table = [J | drift | J v], angular part first, of a Jacobian (6, n) and a drift (6,), linear part first."""
+@_compiled(types.void, _m, _v, _v, _v, _m, _m, _v, _v, _M, _V, _M)
+def frame(
+    R_j: Array, p_j: Array, a_j: Array, alpha_j: Array, place: Array, J_0: Array, moves: Array, v: Array,
+    R: Array, p: Array, table: Array,
+) -> None:  # fmt: skip
+    """A frame at `place` = [R | p] (3, 4) of a joint at (R_j, p_j) that accelerates by (alpha_j, a_j) in its own axes.
+
+    R, p: its pose; table = [J | drift | J v] (6, n + 2) of its body twist, angular part first. `J_0` (6, n) are
+    Pinocchio's columns in the world's axes and origin, linear part first; `moves` (n,) is 1 for those that move it.
+    """
     n = v.size
+    for i in range(3):
+        p[i] = p_j[i]
+        for j in range(3):
+            p[i] += R_j[i, j] * place[j, 3]
+            R[i, j] = 0.0
+            for k in range(3):
+                R[i, j] += R_j[i, k] * place[k, j]
+    x, y, z = p[0], p[1], p[2]
     for i in range(6):
-        source = (i + 3) % 6
-        twist = 0.0
+        table[i, n + 1] = 0.0
+    for j in range(n):
+        if moves[j] == 0.0:
+            for i in range(6):
+                table[i, j] = 0.0
+            continue
+        w0, w1, w2 = J_0[3, j], J_0[4, j], J_0[5, j]
+        v0 = J_0[0, j] + w1 * z - w2 * y
+        v1 = J_0[1, j] + w2 * x - w0 * z
+        v2 = J_0[2, j] + w0 * y - w1 * x
+        for i in range(3):
+            table[i, j] = R[0, i] * w0 + R[1, i] * w1 + R[2, i] * w2
+            table[3 + i, j] = R[0, i] * v0 + R[1, i] * v1 + R[2, i] * v2
+        for i in range(6):
+            table[i, n + 1] += table[i, j] * v[j]
+    x, y, z = place[0, 3], place[1, 3], place[2, 3]
+    b0 = a_j[0] + alpha_j[1] * z - alpha_j[2] * y
+    b1 = a_j[1] + alpha_j[2] * x - alpha_j[0] * z
+    b2 = a_j[2] + alpha_j[0] * y - alpha_j[1] * x
+    for i in range(3):
+        table[i, n] = place[0, i] * alpha_j[0] + place[1, i] * alpha_j[1] + place[2, i] * alpha_j[2]
+        table[3 + i, n] = place[0, i] * b0 + place[1, i] * b1 + place[2, i] * b2
+
+
+@_compiled(types.void, _m, _m, _M, _V)
+def select(basis: Array, table: Array, out: Array, bias: Array) -> None:
+    """out = basis table, and bias its column of drifts with the sign turned."""
+    n = table.shape[1]
+    for i in range(basis.shape[0]):
         for j in range(n):
-            table[i, j] = J[source, j]
-            twist += J[source, j] * v[j]
-        table[i, n] = drift[source]
-        table[i, n + 1] = twist
+            s = 0.0
+            for k in range(6):
+                s += basis[i, k] * table[k, j]
+            out[i, j] = s
+        bias[i] = -out[i, n - 2]
+
+
+@_compiled(types.void, _m, _v, _v, _V)
+def wanted(free: Array, y: Array, bias: Array, b: Array) -> None:
+    """b = bias, with free y added to its last rows."""
+    k = bias.size - free.shape[0]
+    for i in range(bias.size):
+        b[i] = bias[i]
+    for i in range(free.shape[0]):
+        for j in range(6):
+            b[k + i] += free[i, j] * y[j]
 
 
 @_compiled(types.void, _m, *9 * [_F], _V, _M)
@@ -71,24 +125,79 @@ def shift(
     motion[3, 1], motion[4, 1], motion[5, 1] = ax, ay, az
 
 
-@_compiled(types.void, _m, _m, _v, _v, _m, _V)
-def computed_torque(action: Array, motion: Array, V: Array, e: Array, K: Array, y: Array) -> None:
-    """y = Ad Vdot_d - ad_V (Ad V_d) + [Kp, Kd] (X_e, V_e), `action` = Ad and X_e = `e` with the linear part first."""
-    V_d = np.empty(6)
-    for i in range(6):
-        source = (i + 3) % 6
-        velocity, acceleration = 0.0, 0.0
-        for j in range(6):
-            velocity += action[source, (j + 3) % 6] * motion[j, 0]
-            acceleration += action[source, (j + 3) % 6] * motion[j, 1]
-        V_d[i], y[i] = velocity, acceleration
+@_inner
+def _log(R: Array, p: Array, X: Array) -> None:
+    """X (6,) with exp [X] = (R, p), angular part first (book 3.92), by way of the quaternion: exact for any angle."""
+    big, trace = 0, R[0, 0] + R[1, 1] + R[2, 2]
+    for i in range(1, 3):
+        if R[i, i] > R[big, big]:
+            big = i
+    q = np.empty(3)
+    if trace > R[big, big]:
+        root = math.sqrt(1.0 + trace)
+        c = 0.5 * root
+        for i in range(3):
+            q[i] = (R[(i + 2) % 3, (i + 1) % 3] - R[(i + 1) % 3, (i + 2) % 3]) * 0.5 / root
+    else:
+        i, j, k = big, (big + 1) % 3, (big + 2) % 3
+        root = math.sqrt(1.0 + R[i, i] - R[j, j] - R[k, k])
+        q[i] = 0.5 * root
+        q[j] = (R[j, i] + R[i, j]) * 0.5 / root
+        q[k] = (R[k, i] + R[i, k]) * 0.5 / root
+        c = (R[k, j] - R[j, k]) * 0.5 / root
+    sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+    if c < 0.0:  # the shorter way round
+        c, q[0], q[1], q[2] = -c, -q[0], -q[1], -q[2]
+    angle = 2.0 * math.atan2(sine, c)
+    scale = angle / sine if sine > 1e-8 else 2.0 / c
+    square = angle * angle
+    if angle < 0.1:
+        beta = 1.0 / 12.0 + square * (1.0 / 720.0 + square * (1.0 / 30240.0 + square / 1209600.0))
+    else:
+        beta = (1.0 - 0.5 * angle * c / sine) / square
+    for i in range(3):
+        X[i] = scale * q[i]
+    a = X[1] * p[2] - X[2] * p[1], X[2] * p[0] - X[0] * p[2], X[0] * p[1] - X[1] * p[0]
+    X[3] = p[0] - 0.5 * a[0] + beta * (X[1] * a[2] - X[2] * a[1])
+    X[4] = p[1] - 0.5 * a[1] + beta * (X[2] * a[0] - X[0] * a[2])
+    X[5] = p[2] - 0.5 * a[2] + beta * (X[0] * a[1] - X[1] * a[0])
+
+
+@_compiled(types.void, _m, _v, _V)
+def log(R: Array, p: Array, X: Array) -> None:
+    """X (6,) with exp [X] = (R, p), angular part first."""
+    _log(R, p, X)
+
+
+@_compiled(types.void, _m, _v, _v, _m, _v, _m, _m, _V)
+def computed_torque(R: Array, p: Array, V: Array, R_d: Array, p_d: Array, motion: Array, K: Array, y: Array) -> None:
+    """y = Ad Vdot_d - ad_V (Ad V_d) + [Kp, Kd] (X_e, V_e) of a frame at (R, p); `motion` = [V_d | Vdot_d]."""
+    E, e, X = np.empty((3, 3)), np.empty(3), np.empty(6)
+    for i in range(3):
+        e[i] = 0.0
+        for k in range(3):
+            e[i] += R[k, i] * (p_d[k] - p[k])
+        for j in range(3):
+            E[i, j] = R[0, i] * R_d[0, j] + R[1, i] * R_d[1, j] + R[2, i] * R_d[2, j]
+    _log(E, e, X)
+    ahead = np.empty((2, 6))  # Ad V_d and Ad Vdot_d
+    for m in range(2):
+        for i in range(3):
+            ahead[m, i] = ahead[m, 3 + i] = 0.0
+            for k in range(3):
+                ahead[m, i] += E[i, k] * motion[k, m]
+                ahead[m, 3 + i] += E[i, k] * motion[3 + k, m]
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            ahead[m, 3 + i] += e[j] * ahead[m, k] - e[k] * ahead[m, j]
+    V_d = ahead[0]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        y[i] -= V[j] * V_d[k] - V[k] * V_d[j]
-        y[3 + i] -= V[3 + j] * V_d[k] - V[3 + k] * V_d[j] + V[j] * V_d[3 + k] - V[k] * V_d[3 + j]
+        y[i] = ahead[1, i] - (V[j] * V_d[k] - V[k] * V_d[j])
+        y[3 + i] = ahead[1, 3 + i] - (V[j] * V_d[3 + k] - V[k] * V_d[3 + j] + V[3 + j] * V_d[k] - V[3 + k] * V_d[j])
     for i in range(6):
         for j in range(6):
-            y[i] += K[i, j] * e[j] + K[i, 6 + j] * (V_d[j] - V[j])
+            y[i] += K[i, j] * X[j] + K[i, 6 + j] * (V_d[j] - V[j])
 
 
 @_inner
@@ -208,6 +317,16 @@ def residuals(
     return math.sqrt(primal), math.sqrt(dual), gap
 
 
+@_compiled(types.boolean, _v, types.int64, types.int64, _F)
+def active(z: Array, first: int, last: int, least: float) -> bool:
+    """Whether a multiplier exceeds `least`, those from `first` to `last` aside."""
+    most = 0.0
+    for i in range(z.size):
+        if i < first or i >= last:
+            most = max(most, abs(z[i]))
+    return most > least
+
+
 @_compiled(types.void, _m, _v, _F, _M, _V)
 def add_square(metric: Array, target: Array, weight: float, H: Array, g: Array) -> None:
     """Adds weight / 2 |x - target|^2 in the metric to H and g."""
@@ -250,12 +369,16 @@ def braking_bounds(q: Array, v: Array, dt: float, sides: Array, settle: float, l
                 lo[i], hi[i] = min(-most, hi[i]), max(-most, hi[i])
 
 
-@_compiled(types.void, _v, _v, _v, _F, _v, _V, _V)
-def torque_window(low: Array, high: Array, rate: Array, dt: float, last: Array, lo: Array, hi: Array) -> None:
-    """Limits of the torque after one tick from `last`."""
+@_compiled(types.void, _v, _v, _v, _F, _v, _v, _V, _V, _V, _V)
+def torque_window(
+    low: Array, high: Array, rate: Array, dt: float, last: Array, bias: Array, least: Array, most: Array,
+    lo: Array, hi: Array,
+) -> None:  # fmt: skip
+    """Limits of the torque after one tick from `last`; lo and hi are those of what is added to `bias`."""
     for i in range(last.size):
-        lo[i] = max(low[i], last[i] - rate[i] * dt)
-        hi[i] = min(high[i], last[i] + rate[i] * dt)
+        least[i] = max(low[i], last[i] - rate[i] * dt)
+        most[i] = min(high[i], last[i] + rate[i] * dt)
+        lo[i], hi[i] = least[i] - bias[i], most[i] - bias[i]
 
 
 @_compiled(types.void, _m, _v, _v, _V)
@@ -269,6 +392,19 @@ def feedback(K: Array, a: Array, b: Array, out: Array) -> None:
         for j in range(b.size):
             s += K[i, n + j] * b[j]
         out[i] += s
+
+
+@_compiled(types.void, _m, _v, _v, _v, _V)
+def spring(K: Array, goal: Array, at: Array, rate: Array, out: Array) -> None:
+    """out = K [goal - at; rate]."""
+    n = goal.size
+    for i in range(K.shape[0]):
+        s = 0.0
+        for j in range(n):
+            s += K[i, j] * (goal[j] - at[j])
+        for j in range(rate.size):
+            s += K[i, n + j] * rate[j]
+        out[i] = s
 
 
 @_compiled(types.void, _v, _v, _F, _m, _v, _V, _V)

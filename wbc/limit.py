@@ -41,11 +41,19 @@ class TorqueLimit:
     rate: Array
     joints: tuple[str, ...]
 
+    def window(self, tau_last: Array, dt: float, bias: Array, rows: Rows) -> tuple[Array, Array]:
+        """(nv,), (nv,) least and most torque of this tick; `rows` get them as bounds of what is added to `bias`.
+
+        Never empty, for `tau_last` lies within the limits (see `inside`).
+        """
+        least, most = np.empty(tau_last.size), np.empty(tau_last.size)
+        torque_window(self.low, self.high, self.rate, dt, tau_last, bias, least, most, rows.lo, rows.hi)
+        return least, most
+
     def bounds(self, tau_last: Array, dt: float) -> tuple[Array, Array]:
-        """(nv,), (nv,) for this tick; never empty, for `tau_last` lies within the limits (see `inside`)."""
-        lo, hi = np.empty(tau_last.size), np.empty(tau_last.size)
-        torque_window(self.low, self.high, self.rate, dt, tau_last, lo, hi)
-        return lo, hi
+        """(nv,), (nv,) least and most torque of this tick."""
+        n = tau_last.size
+        return self.window(tau_last, dt, np.zeros(n), Rows("", {}, np.empty(n), np.empty(n)))
 
     def inside(self, tau: Array) -> Array:
         """A torque from outside, led into the limits."""
@@ -93,11 +101,15 @@ class JointLimit:
         speed = self.j * reach / (b + np.sqrt(b * b + self.j * reach * slope * slope))
         return np.minimum(np.where(np.isfinite(w), speed, np.inf), self._v_max)
 
-    def rows(self, q: Array, v: Array, dt: float) -> Rows:
+    def fill(self, q: Array, v: Array, dt: float, rows: Rows) -> None:
         """Bounds on vdot [rad/s^2] under which the next state is viable."""
-        lo, hi = np.empty(self.n), np.empty(self.n)
-        braking_bounds(q, v, dt, self._table, SETTLE, lo, hi)
-        return Rows("joint", {"vdot": None}, lo, hi)
+        braking_bounds(q, v, dt, self._table, SETTLE, rows.lo, rows.hi)
+
+    def rows(self, q: Array, v: Array, dt: float) -> Rows:
+        """Rows of their own with these bounds."""
+        rows = Rows("joint", {"vdot": None}, np.empty(self.n), np.empty(self.n))
+        self.fill(q, v, dt, rows)
+        return rows
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -116,10 +128,13 @@ class FloatingJointLimit(JointLimit):
     def viable_speed(self, q: Array) -> Array:
         return super().viable_speed(q[7:])
 
+    def fill(self, q: Array, v: Array, dt: float, rows: Rows) -> None:
+        braking_bounds(q[7:], v[6:], dt, self._table, SETTLE, rows.lo[6:], rows.hi[6:])
+
     def rows(self, q: Array, v: Array, dt: float) -> Rows:
-        lo, hi = np.full(6 + self.n, -np.inf), np.full(6 + self.n, np.inf)
-        braking_bounds(q[7:], v[6:], dt, self._table, SETTLE, lo[6:], hi[6:])
-        return Rows("joint", {"vdot": None}, lo, hi)
+        rows = Rows("joint", {"vdot": None}, np.full(6 + self.n, -np.inf), np.full(6 + self.n, np.inf))
+        self.fill(q, v, dt, rows)
+        return rows
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from .centroidal import ComTask, WholeBodyPosture
 from .contact import Contact
-from .dynamics import gauss, inertia, mobility, torque_map
+from .dynamics import fill, gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
 from .impedance import AdmittanceTask, Compliance, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
@@ -79,7 +79,7 @@ def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any
 
 def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
     """Drop a posture where contacts and motion leave no null space; damp the self-motion that nothing else holds."""
-    state = State(start.robot, start.data, start.q, start.v)
+    state = State(start.terms, start.q, start.v)
     hold(state, phase)
     rows = [held.G for held in state.contacts.values()]
     moving = MotionTask | Compliance | ComTask
@@ -147,13 +147,13 @@ class Program:
             }
             if own and len({phase.weights[name] for name in names}) == 1:
                 self.merged = (list(self.above.values()), self.posture[names[-1]], phase.weights[names[0]])
-        state = State(start.robot, start.data, start.q, start.v)
+        state = State(start.terms, start.q, start.v)
         hold(state, phase)
         sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
-        hard = self._named(state)
+        hard = self._contact_rows(state)
         self.pushing = {name: c.pushes for name, c in phase.contacts.items() if c.pushes is not None}
         hard += self._cones(state)
-        hard += self._dynamics(state, phase.torque.low, phase.torque.high, phase.torque.labels)
+        hard += self._dynamic_rows(state)
         joint = (
             phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
         )
@@ -165,7 +165,9 @@ class Program:
             self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, joint])
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[tuple[Rows, float]] = []
+        self._torque, self._joint = self.strict.stored["torque"], self.strict.stored.get("joint")
         self._hard: list[Rows] = []
+        self.window: tuple[Array, Array] = (phase.torque.low, phase.torque.high)  # [N m] of the torque at this tick
 
     def named(self, starts: Mapping[str, Any]) -> Mapping[Any, Any]:
         """Task -> its start, from those by name."""
@@ -179,31 +181,44 @@ class Program:
         """Whether the last problem let joint viability yield."""
         return self.last is not self.strict
 
-    def assemble(self, state: State, bounds: tuple[Array, Array], dt: float) -> bool:
+    def assemble(self, state: State, tau_last: Array, dt: float) -> bool:
         """The problem of a tick, in `strict`; False when it must not be solved."""
         phase = self.phase
         self._costs = self.costs(state)
-        self._hard = self._held(state)
+        self._hard = hard = self._held(state)
         if self.pushing:
-            self._hard += self._cones(state)
-        self._hard += self._dynamics(state, *bounds)
-        if phase.joint is not None:
-            self._hard.append(phase.joint.rows(state.q, state.v, dt))
+            hard += self._cones(state)
+        hard += self._dynamics(state, tau_last, dt)
+        if self._joint is not None and phase.joint is not None:
+            phase.joint.fill(state.q, state.v, dt, self._joint)
+            hard.append(self._joint)
         self.last = self.strict
-        return _fill(self.strict, self._costs, self._hard)
+        return _fill(self.strict, self._costs, hard)
+
+    def _contact_rows(self, state: State) -> list[Rows]:
+        """The constraints of the contacts, with the names of their rows."""
+        contacts = self.phase.contacts.items()
+        return [c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in contacts]
+
+    def _dynamic_rows(self, state: State) -> list[Rows]:
+        """Equations of motion, with the torque within its limits."""
+        limit = self.phase.torque
+        return [torque_map(state).rows(limit.low, limit.high, limit.labels)]
 
     def _held(self, state: State) -> list[Rows]:
-        """The constraints of the contacts."""
-        return [contact.rows(name, state.contacts[name]) for name, contact in self.phase.contacts.items()]
+        """The constraints of the contacts at a tick."""
+        hard = []
+        for name, contact in self.phase.contacts.items():
+            rows = self.strict.stored[name]
+            contact.fill(state.contacts[name], rows)
+            hard.append(rows)
+        return hard
 
-    def _named(self, state: State) -> list[Rows]:
-        """The same with the names of their rows."""
-        contacts = self.phase.contacts
-        return [rows._replace(labels=contacts[rows.name].labels(rows.name)) for rows in self._held(state)]
-
-    def _dynamics(self, state: State, low: Array, high: Array, labels: tuple[str, ...] = ()) -> list[Rows]:
-        """Equations of motion, with the torque within bounds."""
-        return [torque_map(state).rows(low, high, labels)]
+    def _dynamics(self, state: State, tau_last: Array, dt: float) -> list[Rows]:
+        """Equations of motion at a tick, with the torque within its window."""
+        self.window = self.phase.torque.window(tau_last, dt, state.bias, self._torque)
+        fill(state, self._torque)
+        return [self._torque]
 
     def rest(self, state: State) -> Array:
         """(nu,) the torque that holds the robot's weight at a state [N m]."""

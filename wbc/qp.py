@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ProblemError
-from .kernels import add_square, residuals, total
+from .kernels import active, add_square, residuals, total
 
 Array = NDArray[np.float64]
 
@@ -102,15 +102,6 @@ class Variables:
             raise ProblemError(f"no variable named {name!r}; there are {', '.join(self.slices)}") from None
 
 
-class _Block(NamedTuple):
-    """Views of the storage that one hard block fills."""
-
-    lo: Array
-    hi: Array
-    columns: dict[str, Array]
-    C: Array = np.zeros((0, 0))
-
-
 def _check(rows: Rows, variables: Variables) -> None:
     """Raises ProblemError where rows fit neither the variables nor each other."""
     m = np.size(rows.lo)
@@ -132,7 +123,8 @@ class Workspace:
     """Storage of one structure of the problem, filled in place tick by tick.
 
     Parameters: the variables, and one sample of every hard row block. Blocks keep their shape and kind: equalities
-    (`lo is hi`), bounds on one variable (`A = {name: None}`), inequalities. Raises ProblemError when rows do not fit.
+    (`lo is hi`), bounds on one variable (`A = {name: None}`), inequalities. `stored[name]` are the rows of a block as
+    they stand in the storage: to be written to. Raises ProblemError when rows do not fit.
     """
 
     def __init__(self, variables: Variables, hard: Sequence[Rows]) -> None:
@@ -152,20 +144,23 @@ class Workspace:
         stack = buffer[n:].reshape(n + m, n)
         self.labels = [f"{name}[{i}]" for name, s in variables.slices.items() for i in range(s.stop - s.start)]
         g, lo, hi = buffer[:n], np.full(n + m, -np.inf), np.full(n + m, np.inf)
-        self._blocks: dict[str, _Block] = {}
+        self.stored: dict[str, Rows] = {}
+        self._blocks: dict[str, Array] = {}
         for rows in kinds["bound"]:
             (name,) = rows.A
             place = variables[name]
-            self._blocks[rows.name] = _Block(lo[place], hi[place], {})
+            self.stored[rows.name] = rows._replace(lo=lo[place], hi=hi[place])
             self.labels[place] = rows.labels or self.labels[place]
         start = n
         for rows in kinds["equality"] + kinds["inequality"]:
             stop = start + rows.lo.size
-            columns = {name: stack[start:stop, variables[name]] for name in rows.A}
+            columns: dict[str, Array | None] = {}
             for name, A in rows.A.items():
+                columns[name] = block = stack[start:stop, variables[name]]
                 if A is None:  # the identity stays in place for good
-                    columns.pop(name)[:] = np.eye(rows.lo.size)
-            self._blocks[rows.name] = _Block(lo[start:stop], hi[start:stop], columns, stack[start:stop])
+                    block[:], columns[name] = np.eye(rows.lo.size), None
+            self.stored[rows.name] = rows._replace(A=columns, lo=lo[start:stop], hi=hi[start:stop])
+            self._blocks[rows.name] = stack[start:stop]
             self.labels += rows.labels or [f"{rows.name}[{i}]" for i in range(stop - start)]
             start = stop
         self._buffer, self._cost = buffer, buffer[: n + n * n]
@@ -212,20 +207,24 @@ class Workspace:
 
     def constrain(self, rows: Rows) -> None:
         """Put a hard block in its place."""
-        block = self._blocks[rows.name]
-        block.lo[:] = rows.lo
-        block.hi[:] = rows.hi
-        for name, column in block.columns.items():
-            column[:] = rows.A[name]
+        name, A, lo, hi, _, _ = rows
+        _, columns, low, high, _, _ = self.stored[name]
+        if lo is low:
+            return  # they were filled where they stand
+        low[:] = lo
+        high[:] = hi
+        for variable, place in columns.items():
+            if place is not None:
+                place[:] = A[variable]
 
     def product(self, name: str, x: Array) -> Array:
         """C x of the hard block `name`; for columns x (n, k) those of C x."""
-        value: Array = self._blocks[name].C.dot(x)
+        value: Array = self._blocks[name].dot(x)
         return value
 
     def coefficients(self, name: str) -> Array:
         """C of the hard block `name`."""
-        return self._blocks[name].C
+        return self._blocks[name]
 
     def finite(self) -> bool:
         """Whether every coefficient is a number; a solver given one that is not may run for minutes."""
@@ -244,4 +243,6 @@ class Workspace:
         """Numbers of the inequalities whose multiplier exceeds `least`; `labels` names them."""
         n = self.problem.g.size
         first = n + self.problem.n_eq
+        if not active(z, n, first, least):
+            return []
         return [i for i in z.nonzero()[0].tolist() if (i < n or i >= first) and abs(z[i]) > least]

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -26,11 +25,29 @@ _ANGULAR_FIRST = np.ix_(_ORDER, _ORDER)
 Scalar = Callable[[float], tuple[float, float, float]]  # t -> position, velocity, acceleration
 
 
-class Sample(NamedTuple):
-    """Desired motion at one time. `motion` (6, 2) holds V_d and its time derivative as columns, in the axes of T."""
+class Sample:
+    """Desired motion at one time: a pose, and `motion` (6, 2) with V_d and its time derivative as columns, in its axes.
 
-    T: pin.SE3
-    motion: Array
+    `T` is the pose in the world; R (3, 3) and p (3,) are its parts.
+    """
+
+    __slots__ = ("R", "_T", "motion", "p")
+
+    def __init__(self, T: pin.SE3, motion: Array) -> None:
+        self._T, self.R, self.p, self.motion = T, T.rotation, T.translation, motion
+
+    @classmethod
+    def at(cls, R: Array, p: Array, motion: Array) -> Sample:
+        """The same from the parts of the pose."""
+        sample = cls.__new__(cls)
+        sample._T, sample.R, sample.p, sample.motion = None, R, p, motion
+        return sample
+
+    @property
+    def T(self) -> pin.SE3:
+        if self._T is None:
+            self._T = pin.SE3(self.R, self.p)
+        return self._T
 
     @property
     def V(self) -> Array:
@@ -136,18 +153,19 @@ class Path:
         self.origin, self.along = origin.copy(), dict(along)
         self.offset, self.ends, self.relative, self.placed = offset, ends, relative, placed
         self._place = origin.homogeneous[:3].copy()
+        self._R = self._place[:, :3].copy()
         self._turns = [(i, self.along[i]) for i in _ROTATIONS if i in self.along]
         self._x, self._y, self._z = (self.along.get(i, constant(0.0)) for i in (3, 4, 5))
 
     def __call__(self, t: float) -> Sample:
-        T, p, motion = self.origin.copy(), np.empty(3), np.empty((6, 2))
+        R, p, motion = self._R, np.empty(3), np.empty((6, 2))
         shift(self._place, *self._x(t), *self._y(t), *self._z(t), p, motion)
-        T.translation = p
         for axis, turn in self._turns:
             s, rate, bend = turn(t)
             if s != 0.0 or rate != 0.0 or bend != 0.0:
-                T.rotation = T.rotation @ self._turn(axis, s, rate, bend, motion)
-        return Sample(T, motion) if self.offset is None else Sample(T * self.offset, seen_from(self.offset, motion))
+                R = R @ self._turn(axis, s, rate, bend, motion)
+        sample = Sample.at(R, p, motion)
+        return sample if self.offset is None else Sample(sample.T * self.offset, seen_from(self.offset, motion))
 
     @staticmethod
     def _turn(axis: int, s: float, rate: float, bend: float, motion: Array) -> Array:

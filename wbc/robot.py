@@ -4,29 +4,75 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from eigenpy import LLT
 
+from . import kernels
 from . import model as models
 from .errors import ModelError, NameNotFound
-from .kernels import frame_table
 from .qp import Array
 
+_Source = tuple[Array, Array, Array, Array, Array, Array, Array]  # of `kernels.frame`
 _NO_STARTS: Mapping[Any, Any] = {}  # never written to
 _NO_ROWS: tuple[Array, Array, Array] = (np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)))
 
 
-class Frame(NamedTuple):
-    """One frame of the robot at this tick; twists and wrenches are body quantities, angular part first."""
+class Frame:
+    """One frame of the robot at this tick; twists and wrenches are body quantities, angular part first.
 
-    T: pin.SE3  # pose in the world
-    V: Array  # (6,) body twist [rad/s, m/s]
-    J: Array  # (6, nv) body Jacobian, V = J v
-    drift: Array  # (6,) Jdot v, so that Vdot = J vdot + drift
-    table: Array  # (6, nv + 2) J, drift, V side by side: one product selects rows of all three
+    R (3, 3), p (3,): pose in the world; V (6,) body twist [rad/s, m/s]; J (6, nv) body Jacobian, V = J v; drift (6,)
+    Jdot v, so that Vdot = J vdot + drift; `table` (6, nv + 2): J, drift and V side by side, one product selects rows of
+    all three. Its arrays are filled again at the next tick.
+    """
+
+    __slots__ = ("J", "R", "V", "_T", "drift", "of", "p", "source", "table")
+
+    def __init__(self, n: int, source: _Source) -> None:
+        self.source, self.of, self._T = source, 0, None
+        self.R, self.p, self.table = np.empty((3, 3)), np.empty(3), np.empty((6, n + 2))
+        self.J, self.drift, self.V = self.table[:, :n], self.table[:, n], self.table[:, n + 1]
+
+    @property
+    def T(self) -> pin.SE3:
+        """Pose in the world."""
+        if self._T is None:
+            self._T = pin.SE3(self.R, self.p)
+        return self._T
+
+
+class Terms:
+    """Pinocchio's storage for a robot, and views of what a tick reads of it, made once: each costs as much as its use.
+
+    `held`: contact -> its storage.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot, self.data = robot, robot.model.createData()
+        n = robot.model.nv
+        # of one joint its one column comes as a vector
+        self.M, self.h, self.J = self.data.M.reshape(n, n), self.data.nle, self.data.J.reshape(6, n)
+        self.count = 0  # states computed so far
+        self.frames: dict[str, Frame] = {}
+        self.held: dict[Any, Any] = {}
+
+    def add(self, name: str) -> Frame:
+        """Storage of a frame. Raises NameNotFound."""
+        model, data = self.robot.model, self.data
+        frame = model.frames[self.robot.frame_id(name)]
+        joint, moves = frame.parentJoint, np.zeros(model.nv)
+        for index in list(model.supports[joint])[1:]:
+            first = model.joints[index].idx_v
+            moves[first : first + model.joints[index].nv] = 1.0
+        # computeAllTerms leaves the accelerations at vdot = 0 in data.a: they are the drift
+        pose, a = data.oMi[joint], data.a[joint]
+        place = np.column_stack((frame.placement.rotation, frame.placement.translation))
+        source = (pose.rotation, pose.translation, a.linear, a.angular, place, self.J, moves)
+        found = self.frames[name] = Frame(model.nv, source)
+        return found
 
 
 class State:
@@ -38,16 +84,15 @@ class State:
     measured (6,), the targets set from outside, the force loops' memory, and what tasks feel of a push; `primary` is
     (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of them;
     `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did. Valid until the
-    next state is computed from the same `data`.
+    next state is computed from the same `terms`.
     """
 
     __slots__ = (
         "M",
         "_L",
-        "_frames",
         "bias",
         "contacts",
-        "data",
+        "count",
         "dt",
         "felt",
         "h",
@@ -59,14 +104,17 @@ class State:
         "starts",
         "t",
         "targets",
+        "terms",
         "v",
     )
 
-    def __init__(self, robot: Robot, data: Any, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> None:
-        self.robot, self.data, self.t, self.dt, self.q, self.v = robot, data, t, dt, q, v
-        pin.computeAllTerms(robot.model, data, q, v)
-        self.M: Array = data.M
-        self.h: Array = data.nle if robot.damping is None else data.nle + robot.damping * v
+    def __init__(self, terms: Terms, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> None:
+        robot = terms.robot
+        self.robot, self.terms, self.t, self.dt, self.q, self.v = robot, terms, t, dt, q, v
+        pin.computeAllTerms(robot.model, terms.data, q, v)
+        self.count = terms.count = terms.count + 1
+        self.M: Array = terms.M
+        self.h: Array = terms.h if robot.damping is None else terms.h + robot.damping * v
         self.bias = self.h
         self.contacts: dict[str, Any] = {}
         self.measured: dict[str, Array] = {}
@@ -75,22 +123,17 @@ class State:
         self.felt: dict[Any, Any] = {}
         self.primary: tuple[Array, Array, Array] = _NO_ROWS
         self.starts: Mapping[Any, Any] = _NO_STARTS
-        self._frames: dict[str, Frame] = {}
         self._L: Any = None
 
     def frame(self, name: str) -> Frame:
         """The frame of that name. Raises NameNotFound."""
-        found = self._frames.get(name)
+        terms = self.terms
+        found = terms.frames.get(name)
         if found is None:
-            model, data, index = self.robot.model, self.data, self.robot.frame_id(name)
-            n = self.v.size
-            T = pin.updateFramePlacement(model, data, index)
-            J = pin.getFrameJacobian(model, data, index, pin.LOCAL).reshape(6, n)  # one column comes as a vector
-            # computeAllTerms leaves the accelerations at vdot = 0 in data.a: they are the drift
-            a = pin.getFrameAcceleration(model, data, index, pin.LOCAL).vector
-            table = np.empty((6, n + 2))
-            frame_table(J, a, self.v, table)
-            found = self._frames[name] = Frame(T, table[:, n + 1], table[:, :n], table[:, n], table)
+            found = terms.add(name)
+        if found.of != self.count:
+            found.of, found._T = self.count, None
+            kernels.frame(*found.source, self.v, found.R, found.p, found.table)
         return found
 
     def carry(self, frame: str, F: Array) -> None:
@@ -110,7 +153,7 @@ class State:
 
     def gravity(self) -> Array:
         """(nv,) g(q) [N m]."""
-        return pin.computeGeneralizedGravity(self.robot.model, self.data, self.q)
+        return pin.computeGeneralizedGravity(self.robot.model, self.terms.data, self.q)
 
 
 @dataclass(frozen=True)
@@ -210,16 +253,16 @@ class Robot:
             base=base,
         )
 
-    @property
+    @cached_property
     def nu(self) -> int:
         """Number of motors."""
         return len(self.joints)
 
-    @property
+    @cached_property
     def nv(self) -> int:
         return int(self.model.nv)
 
-    @property
+    @cached_property
     def nq(self) -> int:
         return int(self.model.nq)
 
@@ -272,7 +315,7 @@ class Robot:
 
     def state(self, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> State:
         """A `State` with storage of its own."""
-        return State(self, self.model.createData(), np.asarray(q, float), np.asarray(v, float), t, dt)
+        return State(Terms(self), np.asarray(q, float), np.asarray(v, float), t, dt)
 
     def fixed_pose(self, name: str) -> pin.SE3:
         """World pose of a frame that does not move. Raises NameNotFound, or ModelError when the robot moves it."""

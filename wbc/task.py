@@ -39,11 +39,10 @@ class Task(Protocol):
 def computed_torque(frame: Frame, desired: Sample, K: Array) -> Array:
     """(6,) y = d/dt(Ad V_d) + Kp X_e + Kd V_e in the axes of the frame (book 11.37), [rad/s^2, m/s^2].
 
-    `K` (6, 12) is [Kp, Kd], its first six columns in the order of Pinocchio's logarithm, linear part first.
+    `K` (6, 12) is [Kp, Kd].
     """
-    X = frame.T.actInv(desired.T)
     y = np.empty(6)
-    kernels.computed_torque(X.toActionMatrix(), desired.motion, frame.V, pin.log6(X).vector, K, y)
+    kernels.computed_torque(frame.R, frame.p, frame.V, desired.R, desired.p, desired.motion, K, y)
     return y
 
 
@@ -94,7 +93,7 @@ class MotionTask:
         self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
         self.robot_axes = list(robot_axes)
         self.Kp, self.Kd = self._lift(kp, "kp"), self._lift(kd, "kd")
-        self._K = np.hstack((self.Kp[:, _ORDER], self.Kd))
+        self._K = np.hstack((self.Kp, self.Kd))
 
     @property
     def selection(self) -> Array:
@@ -154,10 +153,9 @@ class MotionTask:
         inertia that the constrained robot shows. Under the book's law the raw rows alone."""
         if not self.raw and len(state.contacts) == 1 and self.contact is not None:
             held: Held = state.contacts[self.contact]
-            n, k = state.v.size, held.A.shape[0]
-            b = held.bias.copy()
-            b[k:] += held.free.dot(self.acceleration(state))
-            return held.table[:, :n], b
+            b = np.empty(held.bias.size)
+            kernels.wanted(held.free, self.acceleration(state), held.bias, b)
+            return held.stack, b
         G, b = self.target(state)
         if not self.raw:
             G = np.concatenate([held.G for held in state.contacts.values()] + [G])
@@ -220,7 +218,7 @@ class ForceTask:
         self._book = law == "book"
         self.Kp, self.Ki = (self._gain(K, k, name) for K, name in ((kp, "kp"), (ki, "ki")))
         self.K_damp = gain_matrix(damping, k, "damping")
-        self._K, self._minus_K_damp = np.hstack((self.Kp, self.Ki)), -self.K_damp
+        self._K, self._brakes = np.hstack((self.Kp, self.Ki)), -self.K_damp if self.K_damp.any() else None
         self.filter, self.integral_limit = filter, integral_limit
         self.axes = held_by.axes
 
@@ -303,7 +301,7 @@ class ForceTask:
         G, _, K = state.primary
         k = command.size
         # a motion task on this contact has computed the mobility already: its rows begin with the contact's
-        metric = K[:k, :k] if G.base is held.table else mobility(state, held.G)
+        metric = K[:k, :k] if G is held.stack else mobility(state, held.G)
         if self._book:
             # (I - P) F = A' Lam A M_C^-1 F, and A M_C^-1 F = G M^-1 J' F; the constraint adds Lam Adot V of its own
             feedback = self._K.dot(np.concatenate((error, integral)))
@@ -315,7 +313,8 @@ class ForceTask:
         else:
             command = command.copy()
             kernels.feedback(self._K, error, integral, command)
-            kernels.feedback(self._minus_K_damp, held.slip, _NOTHING, command)
+            if self._brakes is not None:
+                kernels.feedback(self._brakes, held.slip, _NOTHING, command)
         asked = command
         if held.cone is not None:
             command, short = held.cone.cut(asked)
@@ -353,10 +352,11 @@ class PostureTask:
 
     def acceleration(self, state: State) -> Array:
         """(nv,) vdot_p [rad/s^2]."""
-        model = state.robot.model
-        error = self.q - state.q if model.nq == model.nv else pin.difference(model, state.q, self.q)
-        vdot = np.zeros(state.v.size)
-        kernels.feedback(self._K, error, state.v, vdot)
+        model, vdot = state.robot.model, np.empty(state.v.size)
+        if model.nq == model.nv:
+            kernels.spring(self._K, self.q, state.q, state.v, vdot)
+        else:
+            kernels.spring(self._K, pin.difference(model, state.q, self.q), np.zeros(state.v.size), state.v, vdot)
         return vdot
 
     def rows(self, state: State) -> Rows:

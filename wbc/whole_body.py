@@ -12,6 +12,8 @@ start, and is told in `notes`.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from .centroidal import DistributionTask
@@ -31,7 +33,7 @@ class WholeBodyProgram(Program):
     def __init__(self, phase: Phase, start: State) -> None:
         if any(getattr(task, "law", "") == "book" or getattr(task, "raw", False) for task in phase.tasks.values()):
             raise LawError("law: book is for a fixed base; use law: compensated")
-        state = State(start.robot, start.data, start.q, start.v)
+        state = State(start.terms, start.q, start.v)
         hold(state, phase)
         self.rows = sum(held.G.shape[0] for held in state.contacts.values())
         self.rank = self.rows
@@ -55,9 +57,9 @@ class WholeBodyProgram(Program):
         """Whether the contacts hold the robot by more rows than it takes."""
         return self.rank < self.rows
 
-    def assemble(self, state: State, bounds: tuple[Array, Array], dt: float) -> bool:
+    def assemble(self, state: State, tau_last: Array, dt: float) -> bool:
         self._together = self._independent(state)
-        return super().assemble(state, bounds, dt)
+        return super().assemble(state, tau_last, dt)
 
     def _independent(self, state: State) -> tuple[Array, Array, Array]:
         """Independent rows G vdot = rhs of all contacts, and their inertia."""
@@ -73,19 +75,30 @@ class WholeBodyProgram(Program):
         U = vectors[:, -self.rank :] / np.sqrt(values[-self.rank :])
         return U.T.dot(G), U.T.dot(rhs), np.eye(self.rank)
 
+    def _contact_rows(self, state: State) -> list[Rows]:
+        return self._merged(state) if self.redundant else super()._contact_rows(state)
+
     def _held(self, state: State) -> list[Rows]:
-        if not self.redundant:
-            return super()._held(state)
+        return self._merged(state) if self.redundant else super()._held(state)
+
+    def _merged(self, state: State) -> list[Rows]:
         G, rhs, _ = self._together or self._independent(state)
         return [Rows("contacts", {"vdot": G}, rhs, rhs)]
 
-    def _named(self, state: State) -> list[Rows]:
-        return self._held(state) if self.redundant else super()._named(state)
-
-    def _dynamics(self, state: State, low: Array, high: Array, labels: tuple[str, ...] = ()) -> list[Rows]:
+    def _dynamic_rows(self, state: State) -> list[Rows]:
+        limit = self.phase.torque
         base, joints = torque_map(state).split(state.robot.base)
         nothing = -base.b
-        return [Rows("base", base.A, nothing, nothing), joints.rows(low, high, labels)]
+        return [Rows("base", base.A, nothing, nothing), joints.rows(limit.low, limit.high, limit.labels)]
+
+    def _dynamics(self, state: State, tau_last: Array, dt: float) -> list[Rows]:
+        n, own, base = state.robot.base, self._torque, self.strict.stored["base"]
+        self.window = self.phase.torque.window(tau_last, dt, state.bias[n:], own)
+        _split(state.M, n, base.A["vdot"], own.A["vdot"])
+        for name, held in state.contacts.items():
+            _split(held.push.T, n, base.A[name], own.A[name])
+        base.lo[:] = base.hi[:] = -state.bias[:n]
+        return [base, own]
 
     def costs(self, state: State) -> list[tuple[Rows, float]]:
         weights = self.phase.weights
@@ -120,3 +133,9 @@ class WholeBodyProgram(Program):
                 tau = tau + held.push.T.dot(rows.lo[start : start + k])
                 start += k
         return np.asarray(tau[base:])
+
+
+def _split(rows: Array, n: int, base: Any, joints: Any) -> None:
+    """The first n rows and the others, where they stand."""
+    base[:] = rows[:n]
+    joints[:] = rows[n:]
