@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from . import kernels
 from .analytic import gain_matrix
+from .dynamics import inertia
 from .errors import GainError
 from .qp import Array, Rows
 from .reference import Reference
@@ -106,7 +107,7 @@ class DistributionTask:
                 lam[own] = held.inverse[:, 3:].dot(f)
             A[name] = np.eye(P.shape[1])[:, own]
             start += k
-        D = (P / weight).T.dot(np.linalg.pinv((P / weight).dot(P.T), rcond=1e-10, hermitian=True))
+        D = (P / weight).T.dot(inertia((P / weight).dot(P.T)))
         A["vdot"] = D.dot(state.M[:base])
         for name in contacts.keys() - set(names):
             A[name] = D.dot(push[name])

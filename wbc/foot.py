@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .contact import WorldAxesContact
+from . import kernels
+from .contact import Held, WorldAxesContact
 from .qp import Array
 from .robot import State
 
@@ -27,6 +28,13 @@ class RoundFoot(WorldAxesContact):
         self.radius = radius
         # w x (-r n) = r n x w
         self._A = np.hstack((radius * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.eye(3)))
+
+    def hold(self, state: State) -> Held:
+        frame, basis, Adot_V = state.frame(self.frame), np.empty((6, 6)), np.empty(3)
+        kernels.rolling(self._R, frame.R, self.radius, frame.V, basis, Adot_V)
+        inverse = np.zeros((3, 6))
+        inverse[:, 3:] = basis[:3, 3:]
+        return self._hold(state, basis[:3], basis[3:], inverse, basis, Adot_V)
 
     def pseudo_inverse(self, A: Array) -> Array:
         """(3, 6) the force alone tells the multipliers: whatever it acts on, its moment follows."""

@@ -65,6 +65,8 @@ class Geometry:
                 self._push(name, entry, entry.push, contacts[name], q)
         references: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
+            if isinstance(task, specs.ComTask) and task.reference is not None:
+                self.followed.setdefault(task.reference, set()).update((3, 4, 5))
             if not isinstance(task, MOVING):
                 continue
             if task.contact is not None:
@@ -103,7 +105,8 @@ class Geometry:
             if on is not None:
                 rows = np.eye(6) if name in paths else contact.A(robot.state(q, np.zeros(robot.nv)))
                 if self._ground(name, spec.contacts[name]):
-                    T, rows = self._standing(spec.contacts[name], T, q)
+                    goals.append(self._standing(name, T, q))
+                    continue
                 goals.append(Goal(contact.frame, paths[name](0.0).T if name in paths else T, rows, ("contacts", name)))
         return goals
 
@@ -126,7 +129,6 @@ class Geometry:
         if entry.reference is None:
             return Hold(here)
         along = components(self.spec.references[entry.reference])
-        self.followed.setdefault(entry.reference, set()).update((3, 4, 5))
         if turns := [VELOCITY_AXES[i] for i in along if i < 3]:
             message = f"a centre of mass does not turn; expected a reference without {', '.join(turns)}"
             self.faults.add(("tasks", name, "target"), message)
@@ -156,20 +158,18 @@ class Geometry:
         held = contact.on is not None or name in self.robot.frames or contact.push is None or contact.kind != "holds"
         return FLOOR if self.robot.base and not held and FLOOR in self.robot.frames else None
 
-    def _standing(self, contact: specs.Contact, plane: pin.SE3, q: Array) -> tuple[pin.SE3, Array]:
-        """The nearest pose of a contact's frame on a plane, and the rows that put it there."""
+    def _standing(self, name: str, plane: pin.SE3, q: Array) -> Goal:
+        """That a contact's frame comes to stand on a plane: at its height, a sole with its z along the plane's."""
+        contact = self.spec.contacts[name]
         here = self.robot.state(q, np.zeros(self.robot.nv)).frame(contact.frame).T
-        n, radius = plane.rotation[:, 2], contact.radius or 0.0
-        down = pin.SE3(here.rotation, here.translation - n * (n @ (here.translation - plane.translation) - radius))
-        if contact.holds != "all":
-            row = np.zeros((1, 6))
-            row[0, 3:] = here.rotation.T @ n
-            return down, row
-        z = here.rotation[:, 2]  # turned the shortest way, so that its z is the plane's
-        axis, cosine = np.cross(z, n), float(z @ n)
-        angle = math.atan2(float(np.linalg.norm(axis)), cosine)
-        turn = pin.exp3(axis / max(float(np.linalg.norm(axis)), 1e-12) * angle)
-        return pin.SE3(turn @ here.rotation, down.translation), np.eye(6)[[0, 1, 5]]
+        n, z = plane.rotation[:, 2], here.rotation[:, 2]
+        height = float(n @ (here.translation - plane.translation)) - (contact.radius or 0.0)
+        axis = np.cross(z, n)
+        sine = float(np.linalg.norm(axis))
+        turn = pin.exp3(axis / max(sine, 1e-12) * math.atan2(sine, float(z @ n)))  # the shortest way
+        T = pin.SE3(turn @ here.rotation, here.translation - height * n)
+        rows = np.eye(6)[[0, 1, 5] if contact.holds == "all" else [5]]
+        return Goal(contact.frame, T, rows, ("contacts", name), plane.rotation)
 
     def distance(self, name: str, q: Array) -> Reading | None:
         """How far the frame of a contact is from where it is held; None where it is not held along one direction."""

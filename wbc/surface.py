@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .analytic import surface_cone
-from .analytic.surface import FRICTION, PRESSURE, YAW
+from .analytic.surface import FRICTION, PRESSURE, PUSH, YAW
 from .errors import WrenchError
 from .friction import Cone, Unilateral
 from .qp import Array, Rows
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .contact import Contact
     from .robot import State
 
-_PARTS = {"friction": FRICTION, "pressure": PRESSURE, "yaw": YAW}
+_PARTS = {"push": PUSH, "friction": FRICTION, "pressure": PRESSURE, "yaw": YAW}
 
 
 class SoleCone(Cone):
@@ -60,6 +60,7 @@ class Sole(Unilateral):
         m = len(self._wrenches)
         self._least = np.concatenate(([least], np.zeros(m - 1)))
         self._most = np.full(m, np.inf)
+        self._labels = tuple(part for part, rows in _PARTS.items() for _ in range(rows.stop - rows.start))
 
     def hold(
         self, contact: Contact, state: State, A: Array, G: Array, inverse: Array
@@ -71,6 +72,5 @@ class Sole(Unilateral):
         return A, G, SoleCone(self._wrenches.dot(A.T), self._least, *nothing, inverse[:, 3:].dot(self.d))
 
     def rows(self, name: str, cone: Cone) -> Rows:
-        labels = [f"{name}.push"]
-        labels += [f"{name}.{part}" for part, rows in _PARTS.items() for _ in range(rows.stop - rows.start)]
-        return Rows(f"{name}.push", {name: cone.rows}, cone.least, self._most, None, tuple(labels))
+        labels = tuple(f"{name}.{part}" for part in self._labels)
+        return Rows(f"{name}.push", {name: cone.rows}, cone.least, self._most, None, labels)

@@ -22,8 +22,9 @@ from .errors import LawError
 from .phase import Phase, Program, hold
 from .qp import Array, Rows
 from .robot import State
-from .task import ForceTask, PostureTask, Task
+from .task import ForceTask, MotionTask, PostureTask, Task
 
+_NO_METRIC = np.zeros((0, 0))
 RANK_TOLERANCE = 1e-8  # of the largest eigenvalue of the contacts' mobility
 
 
@@ -105,19 +106,33 @@ class WholeBodyProgram(Program):
         G, rhs, W = self._together or self._independent(state)
         # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
         costs = [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0)] if self.rows else []
-        tasks = [(task.rows(state), weights[name]) for name, task in self._tasks.items()]
-        if self.posture:
-            stack = np.concatenate([G, *(A for rows, _ in tasks if (A := rows.A.get("vdot")) is not None)])
-            K = mobility(state, stack)
-            state.primary = (stack, inertia(K), K)
-            tasks += [(posture.rows(state), weights[name]) for name, posture in self.posture.items()]
-        else:
-            state.primary = (G, W, np.zeros((0, 0)))
-        for name, force in self.force.values():
-            tasks.append((force.rows(state), weights[name]))
+        wanted = [(name, self._wanted(task, state)) for name, task in self._tasks.items()]
+        stack = np.concatenate([G, *(A for _, rows in wanted if (A := rows.A.get("vdot")) is not None)])
+        K = mobility(state, stack)
+        k = start = len(G)
+        held = W.dot(K[:k, k:])  # M_C of the contacts times what the tasks' forces do to them
+        for name, rows in wanted:
+            if "vdot" in rows.A:
+                own = slice(start, start + rows.lo.size)
+                start = own.stop
+                if isinstance(self._tasks[name], MotionTask):
+                    free = K[own, own] - K[:k, own].T.dot(held[:, own.start - k : own.stop - k])
+                    rows = rows._replace(metric=inertia(free))
+            costs.append((rows, weights[name]))
+        state.primary = (stack, inertia(K) if self.posture else _NO_METRIC, K)
+        costs += [(posture.rows(state), weights[name]) for name, posture in self.posture.items()]
+        costs += [(force.rows(state), weights[name]) for name, force in self.force.values()]
         if self._sharers:
-            tasks += [(task.rows(state, self._sharers), weight) for task, weight in self._sharing]
-        return costs + tasks
+            costs += [(task.rows(state, self._sharers), weight) for task, weight in self._sharing]
+        return costs
+
+    @staticmethod
+    def _wanted(task: Task, state: State) -> Rows:
+        """The task's own rows; a motion's without those of the contacts, which all tasks have in common."""
+        if not isinstance(task, MotionTask):
+            return task.rows(state)
+        G, b = task.target(state)
+        return Rows("", {"vdot": G}, b, b)
 
     def rest(self, state: State) -> Array:
         """(nu,) the torque with which the contacts carry the weight, shared as the phase shares it [N m]."""
