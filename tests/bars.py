@@ -78,6 +78,22 @@ SPECS: dict[str, dict[str, float]] = {
         "roll.position.rms_error": 8e-5,
         "board.vy.slip": 1e-4,  # sideways, over the whole curve [m]
     },
+    "go2_stand": {
+        "balance.position.rms_error": 5e-4,  # [m]
+        **{f"{foot}.slip": 2e-4 for foot in ("FL", "FR", "RL", "RR")},  # [m] at the points of contact
+        **{f"{foot}.cone.max_excess": 1e-6 for foot in ("FL", "FR", "RL", "RR")},  # [N]
+        **{f"{foot}.rest.error": 1e-4 for foot in ("FL", "FR", "RL", "RR")},  # of m g
+        "weight.rest.error": 1e-6,
+        "joint.max_excess": 0,
+    },
+    "g1_stand": {
+        "balance.position.rms_error": 5e-4,
+        **{f"{foot}.slip": 2e-4 for foot in ("left_foot", "right_foot")},
+        **{f"{foot}.cone.max_excess": 1e-6 for foot in ("left_foot", "right_foot")},
+        **{f"{foot}.rest.error": 1e-4 for foot in ("left_foot", "right_foot")},
+        "weight.rest.error": 1e-6,
+        "joint.max_excess": 0,
+    },
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
 }
 

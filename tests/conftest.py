@@ -40,6 +40,17 @@ def planar3r(robots):
     return robots["planar3r"]
 
 
+@pytest.fixture(scope="session")
+def go2():
+    """On the floor."""
+    return Robot.load("go2", scene="floor")
+
+
+@pytest.fixture(scope="session")
+def g1():
+    return Robot.load("g1", scene="floor")
+
+
 @pytest.fixture(params=LOADED)
 def robot(request, robots):
     """Each of the shipped robots in turn."""

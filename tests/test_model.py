@@ -17,7 +17,7 @@ from wbc.robot import Robot
 SHIPPED = [
     (robot, *rest)
     for robot, rest in product(("panda", "ur5e", "planar3r"), ((None, None), ("eraser", None), ("eraser", "board")))
-]
+] + [(robot, None, scene) for robot, scene in product(("go2", "g1"), (None, "floor"))]
 
 
 @pytest.mark.parametrize(("robot", "tool", "scene"), SHIPPED)
@@ -233,10 +233,10 @@ def test_position_servos_become_motors(tmp_path):
     ("files", "message"),
     [
         (("pandas",), "no robot named 'pandas'; did you mean 'panda'"),
-        (("zzzzzz",), "no robot named 'zzzzzz'; expected one of panda, planar3r, ur5e"),
+        (("zzzzzz",), "no robot named 'zzzzzz'; expected one of g1, go2, panda, planar3r, ur5e"),
         (("panda", "erasor"), "no tool named 'erasor'; did you mean 'eraser'"),
         (("panda", None, "bored"), "no scene named 'bored'; did you mean 'board'"),
-        (("nowhere/arm.xml",), "no file 'nowhere/arm.xml'; expected a path, or one of panda"),
+        (("nowhere/arm.xml",), "no file 'nowhere/arm.xml'; expected a path, or one of g1"),
         (("",), "no robot named ''"),
     ],
 )

@@ -160,14 +160,14 @@ def test_home_is_the_reference_pose_where_no_keyframe_says_so(written):
     assert {name: q.tolist() for name, q in robot.keyframes.items()} == {"home": [0.5], "up": [1.5]}
 
 
-def test_limits_have_one_entry_a_velocity(written):
+def test_limits_have_one_entry_a_motor(written):
     leg = f"<body name='leg'><joint name='knee' axis='0 1 0' range='-1 2'/>{load_of(1, -0.1)}</body>"
     motor = "<actuator><motor joint='knee' ctrlrange='-9 9'/></actuator>"
     robot = written(f"<body name='base'><freejoint/>{load_of(5, 0)}{leg}</body>", motor)
-    free = [np.inf] * 6
-    np.testing.assert_array_equal(robot.q_max, [*free, 2])
-    np.testing.assert_array_equal(-robot.q_min, [*free, 1])
-    np.testing.assert_array_equal(robot.tau_max, [*free, 9])
+    assert (robot.base, robot.nu, robot.nv, robot.joints) == (6, 1, 7, ("knee",))
+    np.testing.assert_array_equal(robot.q_max, [2])
+    np.testing.assert_array_equal(-robot.q_min, [1])
+    np.testing.assert_array_equal(robot.tau_max, [9])
 
 
 # --- a Pinocchio model of one's own ---

@@ -100,8 +100,9 @@ def _start_joints(spec: specs.Spec, robot: Robot, faults: Faults) -> Array:
     q = joint_values(robot, start, robot.keyframes["home"])
     for joint in start:
         i = robot.joints.index(joint)
-        if not robot.q_min[i] <= q[i] <= robot.q_max[i]:
-            message = f"{q[i]:g} rad is outside of the joint's range, {robot.q_min[i]:.4g} to {robot.q_max[i]:.4g}"
+        angle = q[i - robot.nu]
+        if not robot.q_min[i] <= angle <= robot.q_max[i]:
+            message = f"{angle:g} rad is outside of the joint's range, {robot.q_min[i]:.4g} to {robot.q_max[i]:.4g}"
             faults.add(("start", joint), message)
     return q
 
@@ -116,9 +117,10 @@ def _close(q: Array, goals: Sequence[Goal], robot: Robot, faults: Faults) -> Arr
         left = f"{max(errors):.2g} m or rad are left"
         message = f"{faults.spec.robot} cannot bring {worst.frame} there from its start pose: {left}"
         faults.add(worst.path, f"{message}; choose another place, start or robot")
-    elif robot.nq == robot.nv:
-        for i in np.flatnonzero((q < robot.q_min) | (q > robot.q_max)):
-            message = f"closing the contacts puts {robot.joints[i]} at {q[i]:.3f} rad"
+    elif robot.nq == robot.nv or robot.base:
+        own = q[-robot.nu :]
+        for i in np.flatnonzero((own < robot.q_min) | (own > robot.q_max)):
+            message = f"closing the contacts puts {robot.joints[i]} at {own[i]:.3f} rad"
             allowed = f"outside [{robot.q_min[i]:.3f}, {robot.q_max[i]:.3f}]"
             faults.add(("start",), f"{message}, {allowed}; choose another start or place")
     return start if faults.found else q
@@ -273,7 +275,7 @@ def _limits(spec: specs.Spec, robot: Robot, faults: Faults) -> tuple[TorqueLimit
     most = {"torque": np.minimum(robot.tau_max, -robot.tau_min), "velocity": robot.v_max}
     values: dict[str, Any] = {}
     for name in ("torque", "torque_rate", "velocity"):
-        given, model = getattr(limits, name), most.get(name, np.full(robot.nv, np.inf))
+        given, model = getattr(limits, name), most.get(name, np.full(robot.nu, np.inf))
         if isinstance(given, specs.Scale):
             given = model * given.scale
         elif given is not None and given != "model":

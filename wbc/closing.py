@@ -16,12 +16,28 @@ _ANGULAR_FIRST = [3, 4, 5, 0, 1, 2]
 
 
 class Goal(NamedTuple):
-    """A pose that a frame should have, along some rows of its twist."""
+    """A pose that a frame should have, along some rows of its twist, in the axes of the frame or in those of `axes`."""
 
     frame: str
     T: pin.SE3
     rows: Array  # (r, 6)
     path: tuple[str | int, ...]  # what asks for it, in the spec
+    axes: Array | None = None  # (3, 3) fixed in the world: a plane's, while the frame rolls on it
+
+    def error(self, T: pin.SE3) -> Array:
+        """(r,) how far a frame at T is from it [rad, m]."""
+        if self.axes is None:
+            return np.asarray(self.rows @ pin.log6(T.actInv(self.T)).vector[_ANGULAR_FIRST])
+        turn = T.rotation @ pin.log3(T.rotation.T @ self.T.rotation)
+        way = self.T.translation - T.translation
+        return np.asarray(self.rows @ np.concatenate((self.axes.T @ turn, self.axes.T @ way)))
+
+    def rows_at(self, T: pin.SE3) -> Array:
+        """(r, 6) its rows in the axes of the frame."""
+        if self.axes is None:
+            return self.rows
+        X = self.axes.T @ T.rotation
+        return np.hstack((self.rows[:, :3] @ X, self.rows[:, 3:] @ X))
 
 
 def close(robot: Robot, q: Array, goals: Sequence[Goal], steps: int = 200) -> tuple[Array, list[float]]:
@@ -31,11 +47,8 @@ def close(robot: Robot, q: Array, goals: Sequence[Goal], steps: int = 200) -> tu
     for _ in range(steps if goals else 0):
         state = robot.state(q, still)
         frames = [state.frame(goal.frame) for goal in goals]
-        errors = [
-            goal.rows @ pin.log6(frame.T.actInv(goal.T)).vector[_ANGULAR_FIRST]
-            for goal, frame in zip(goals, frames, strict=True)
-        ]
-        J = np.concatenate([goal.rows @ frame.J for goal, frame in zip(goals, frames, strict=True)])
+        errors = [goal.error(frame.T) for goal, frame in zip(goals, frames, strict=True)]
+        J = np.concatenate([goal.rows_at(frame.T) @ frame.J for goal, frame in zip(goals, frames, strict=True)])
         damped = np.concatenate((J, 1e-6 * np.eye(robot.nv)))
         step = np.linalg.lstsq(damped, np.concatenate((*errors, still)), rcond=None)[0]
         largest = float(np.abs(step).max())

@@ -72,7 +72,7 @@ def record(built: Built, every: int | None = None, most: int = 200, progress: Pr
 
         def met() -> Recorded:
             T = workspace.product("torque", np.eye(workspace.variables.size))
-            h, name = controller.state.bias.copy(), Path(built.spec.file).stem
+            h, name = controller.state.bias[built.robot.base :].copy(), Path(built.spec.file).stem
             return Recorded(workspace.problem.copy(), T, h, seen.t, name, out.active)
 
         if not even.offer(met) and out.active:

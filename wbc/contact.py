@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -57,18 +57,36 @@ class Held:
         return F - self.inverse.dot(F).dot(self.A)
 
 
+class Settling(NamedTuple):
+    """How motion against a contact dies out: A Vdot + Adot V = -c with c = `rate` A V, each row at most `most`.
+
+    Without it a contact that is held by accelerations alone drifts by rounding and by the softness of what it stands
+    on. It is damping, never stiffness: where the contact is, there it stays. The bound keeps a contact that starts
+    unsettled from asking for more than its environment can give: well below g, a floor need not pull.
+    """
+
+    rate: float = 20.0  # [1/s]
+    most: float = 1.0  # [rad/s^2, m/s^2]
+
+    def asked(self, slip: Array) -> Array:
+        """(k,) c of A V."""
+        return np.minimum(np.maximum(self.rate * slip, -self.most), self.most)
+
+
 class Contact(ABC):
     """Base of all contacts. `axes` names the multipliers; by default lambda1, lambda2, ...
 
     `feedforward`: "measured" counts the part of the measured wrench that the constraint does not cause (friction, the
     load of a hinge) as known; "modelled" counts the drag of sliding friction into the contact's own wrench; "none"
-    leaves it to the feedback. `pushes`: the direction in which it only pushes, and friction across it.
+    leaves it to the feedback. `pushes`: the direction in which it only pushes, and friction across it. `settling`: what
+    it does about motion against it, by default nothing.
     """
 
     frame: str
     k: int
     feedforward: str = "none"
     pushes: Unilateral | None = None
+    settling: Settling | None = None
 
     @abstractmethod
     def A(self, state: State) -> Array:
@@ -122,6 +140,8 @@ class Contact(ABC):
         kernels.select(basis, state.frame(self.frame).table, held.table, held.bias)
         if Adot_V is not None:
             held.rhs -= Adot_V
+        if self.settling is not None:
+            held.rhs -= self.settling.asked(held.slip)
         held.A, held.Adot_V, held.free, held.inverse = A, Adot_V, free, inverse
         if self.pushes is None:
             held.B, held.push, held.cone = A, held.G, None

@@ -24,6 +24,7 @@ from .robot import Robot, State, Terms
 from .solver import DEFAULT, Solution, Solver, answer, make
 from .task import ForceLoop
 from .transition import STOP, Change, Watch
+from .whole_body import WholeBodyProgram
 from .wrench import Wrench
 
 __all__ = ["Controller", "Memory", "Output", "Phase", "Status"]
@@ -49,7 +50,8 @@ class Status(Enum):
 
 
 class Output(NamedTuple):
-    """What a tick answers. `tau` (nv,) [N m] is for the driver; `wrenches` are predicted, robot on environment."""
+    """What a tick answers. `tau` (nu,) [N m], in the order of `robot.joints`, is for the driver; `vdot` (nv,) and the
+    wrenches are predicted, wrenches robot on environment."""
 
     tau: Array
     vdot: Array
@@ -87,7 +89,7 @@ class Controller:
     """A whole-body contact controller.
 
     Parameters: the robot; `contacts` name -> Contact; `tasks` name -> Task, or (Task, weight); `limits` with the keys
-    `torque`, `torque_rate`, `position`, `velocity` (a number or (nv,), "model", or None); `solver`: a name or an object
+    `torque`, `torque_rate`, `position`, `velocity` (a number or (nu,), "model", or None); `solver`: a name or an object
     with `solve(problem)`; `rate` [Hz]. `from_spec` makes one from YAML. Everything wrong with these raises here, a
     WbcError that says what; nothing raises later.
     """
@@ -113,7 +115,9 @@ class Controller:
         if phases is None:
             phases = [place(robot, contacts or {}, tasks or {}, limits or {})]
         self.notes: list[str] = []
-        self._programs = [Program(settle_posture(phase, start, self.notes), start) for phase in phases]
+        program = WholeBodyProgram if robot.base else Program
+        self._programs: list[Program] = [program(settle_posture(phase, start, self.notes), start) for phase in phases]
+        self.notes += dict.fromkeys(note for each in self._programs for note in each.notes)
         self._contacts = {name: contact for phase in phases for name, contact in phase.contacts.items()}
         self._feeling = {name: frame for phase in phases for name, frame in phase.feeling.items()}
         self._index = {phase.name: i for i, phase in enumerate(phases)}
@@ -166,7 +170,10 @@ class Controller:
 
     @property
     def workspace(self) -> Workspace:
-        """Holds the last problem until the next tick; an answer's torque is `product("torque", x) + state.bias`."""
+        """Holds the last problem until the next tick.
+
+        An answer's torque is `product("torque", x) + state.bias`, of a floating base without the first six.
+        """
         return self._program.last
 
     def reset(self, q: Array, v: Array, tau: Array | None = None) -> None:
@@ -179,11 +186,12 @@ class Controller:
             if fault := _fault(name, value, size):
                 raise StateError(fault)
         q, v = np.array(q, float), np.array(v, float)
-        gravity = State(self._terms, q, v).gravity()
+        state = State(self._terms, q, v)
+        gravity = state.gravity()[self.robot.base :]
         if tau is None:
-            total = gravity
+            total = self._programs[0].rest(state)
         else:
-            if fault := _fault("tau", tau, self.robot.nv):
+            if fault := _fault("tau", tau, self.robot.nu):
                 raise StateError(fault)
             total = np.array(tau, float) + (gravity if self.robot.gravity == "robot" else 0.0)
         self.memory = Memory(tau=self._programs[0].phase.torque.inside(total), gravity=gravity, q=q, v=v)
@@ -237,7 +245,7 @@ class Controller:
         refused = self._read(state, memory, measured, targets)
         tau_last = memory.tau
         if tau_applied is not None:
-            if fault := _fault("tau_applied", tau_applied, self.robot.nv):
+            if fault := _fault("tau_applied", tau_applied, self.robot.nu):
                 refused.append(fault)
             else:
                 tau_last = tau_applied + memory.gravity if self.robot.gravity == "robot" else tau_applied
@@ -344,8 +352,8 @@ class Controller:
     ) -> Output:  # fmt: skip
         workspace, force, yielded = program.last, program.force, program.yielded
         slices = workspace.variables.slices
-        tau = np.empty(state.v.size)  # in its bounds: the certificate's tolerance must not reach the motors
-        torque(workspace.coefficients("torque"), solution.x, state.bias, *program.window, tau)
+        tau = np.empty(tau_last.size)  # in its bounds: the certificate's tolerance must not reach the motors
+        torque(workspace.coefficients("torque"), solution.x, state.bias[self.robot.base :], *program.window, tau)
         wrenches, loops, lam = {}, dict(memory.loops), {}
         for name, held in state.contacts.items():
             lam[name] = solution.x[slices[name]]
@@ -379,8 +387,8 @@ class Controller:
         """The last torque, for a few ticks; then the safe hold."""
         memory = self._memory
         if memory is None:  # nothing is known of the robot yet, so nothing is asked of it
-            nothing = np.zeros(self.robot.nv)
-            return Output(nothing, nothing, {}, (), Status.DEGRADED, f"not started: {reason}", UNCERTIFIED)
+            nothing, still = np.zeros(self.robot.nu), np.zeros(self.robot.nv)
+            return Output(nothing, still, {}, (), Status.DEGRADED, f"not started: {reason}", UNCERTIFIED)
         bad = memory.bad + 1
         if memory.status in (Status.SAFE_HOLD, Status.STOPPED) or bad > HOLD_TICKS:
             status = Status.STOPPED if memory.status is Status.STOPPED else Status.SAFE_HOLD
@@ -400,9 +408,10 @@ class Controller:
             if name in state.contacts:
                 tau = tau + state.contacts[name].push.T @ lam
         low, high = phase.torque.bounds(memory.tau, self.dt)
-        tau = np.clip(tau, low, high)
+        base = self.robot.base
+        tau = np.clip(tau[base:], low, high)
         self._memory = memory._replace(
-            tau=tau, gravity=state.gravity(), q=np.array(q), v=np.array(v), status=status, good=0
+            tau=tau, gravity=state.gravity()[base:], q=np.array(q), v=np.array(v), status=status, good=0
         )
         return self._held_output(tau, status, reason or memory.why or "held until reset")
 

@@ -30,6 +30,12 @@ class TorqueMap(NamedTuple):
         """low <= tau <= high [N m]."""
         return Rows("torque", self.A, low - self.b, high - self.b, labels=labels)
 
+    def split(self, base: int) -> tuple[TorqueMap, TorqueMap]:
+        """The first `base` equations, whose torque is zero, and those of the joints."""
+        return TorqueMap({k: A[:base] for k, A in self.A.items()}, self.b[:base]), TorqueMap(
+            {k: A[base:] for k, A in self.A.items()}, self.b[base:]
+        )
+
 
 def torque_map(state: State) -> TorqueMap:
     """The map at a state whose contacts are evaluated."""

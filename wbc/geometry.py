@@ -13,18 +13,23 @@ import pinocchio as pin
 
 from . import quantity
 from . import spec as specs
+from .centroidal import com
 from .closing import Goal
-from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+from .contact import AxesContact, Contact, MatrixContact, ScrewContact, Settling, SphereContact, WorldAxesContact
 from .faults import Faults, Place
+from .foot import RoundFoot
 from .friction import unilateral
 from .names import MOVING
 from .qp import Array
 from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, arc, constant, hold, quintic, ramp, sine
 from .robot import Robot
+from .surface import Sole
 from .transition import Reading
 from .wrench import VELOCITY_AXES
 
 SELF = "self"  # of a reference: it goes out from wherever its frame is
+FLOOR = "floor"  # the frame on whose plane a robot with a floating base stands, unless a contact says otherwise
+SETTLING = 20.0  # [1/s] of its contacts
 
 
 @dataclass(frozen=True)
@@ -56,10 +61,14 @@ class Geometry:
                 contact, paths[name] = self.made[key]
                 contacts[name] = copy.copy(contact)  # a phase's own: its drag follows what moves it in that phase
                 contacts[name].feedforward = entry.feedforward
+                rate = entry.settling if entry.settling is not None else SETTLING if self.robot.base else 0.0
+                contacts[name].settling = Settling(rate) if rate else None
             if name in contacts and entry.push is not None:
                 self._push(name, entry, entry.push, contacts[name], q)
         references: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
+            if isinstance(task, specs.ComTask) and task.reference is not None:
+                self.followed.setdefault(task.reference, set()).update((3, 4, 5))
             if not isinstance(task, MOVING):
                 continue
             if task.contact is not None:
@@ -97,6 +106,9 @@ class Geometry:
             T, on = self._on(name, spec.contacts[name], q)
             if on is not None:
                 rows = np.eye(6) if name in paths else contact.A(robot.state(q, np.zeros(robot.nv)))
+                if self._ground(name, spec.contacts[name]):
+                    goals.append(self._standing(name, T, q))
+                    continue
                 goals.append(Goal(contact.frame, paths[name](0.0).T if name in paths else T, rows, ("contacts", name)))
         return goals
 
@@ -108,6 +120,22 @@ class Geometry:
             return constant(0.0)
         return self._component(value, self.spec.references[value], 3, ("contacts", contact, "artificial", axis))
 
+    def com_path(self, name: str, entry: specs.ComTask, contacts: Mapping[str, Contact], q: Array) -> Reference:
+        """Where a task wants the centre of mass."""
+        state = self.robot.state(q, np.zeros(self.robot.nv))
+        here = pin.SE3(np.eye(3), com(state)[0].copy())
+        if isinstance(entry.target, specs.Over):
+            shares = entry.target.shares
+            middle = sum(share * state.frame(contacts[each].frame).T.translation for each, share in shares.items())
+            here.translation = np.array([*middle[:2], here.translation[2]])
+        if entry.reference is None:
+            return Hold(here)
+        along = components(self.spec.references[entry.reference])
+        if turns := [VELOCITY_AXES[i] for i in along if i < 3]:
+            message = f"a centre of mass does not turn; expected a reference without {', '.join(turns)}"
+            self.faults.add(("tasks", name, "target"), message)
+        return self._path(entry.reference, here, ("tasks", name, "target"))
+
     def _check_axes(self, frame: str, axes: Sequence[str], path: Place) -> None:
         able = [VELOCITY_AXES[i] for i in self.robot.axes(frame)]
         if extra := [axis for axis in axes if axis not in able]:
@@ -118,10 +146,32 @@ class Geometry:
 
     def _on(self, name: str, contact: specs.Contact, q: Array) -> tuple[pin.SE3, str | None]:
         """Where the world holds the frame at the start, and the scene's frame that the start must be closed onto."""
+        if ground := self._ground(name, contact):
+            return self.robot.fixed_pose(ground), ground
         on = contact.on or (name if name in self.robot.frames else None)
         if on is not None:
             return self.robot.fixed_pose(on), on
         return self.robot.state(q, np.zeros(self.robot.nv)).frame(contact.frame).T, None
+
+    def _ground(self, name: str, contact: specs.Contact) -> str | None:
+        """The frame on whose plane the contact stands wherever it is."""
+        if contact.ground is not None:
+            return contact.ground
+        held = contact.on is not None or name in self.robot.frames or contact.push is None or contact.kind != "holds"
+        return FLOOR if self.robot.base and not held and FLOOR in self.robot.frames else None
+
+    def _standing(self, name: str, plane: pin.SE3, q: Array) -> Goal:
+        """That a contact's frame comes to stand on a plane: at its height, a sole with its z along the plane's."""
+        contact = self.spec.contacts[name]
+        here = self.robot.state(q, np.zeros(self.robot.nv)).frame(contact.frame).T
+        n, z = plane.rotation[:, 2], here.rotation[:, 2]
+        height = float(n @ (here.translation - plane.translation)) - (contact.radius or 0.0)
+        axis = np.cross(z, n)
+        sine = float(np.linalg.norm(axis))
+        turn = pin.exp3(axis / max(sine, 1e-12) * math.atan2(sine, float(z @ n)))  # the shortest way
+        T = pin.SE3(turn @ here.rotation, here.translation - height * n)
+        rows = np.eye(6)[[0, 1, 5] if contact.holds == "all" else [5]]
+        return Goal(contact.frame, T, rows, ("contacts", name), plane.rotation)
 
     def distance(self, name: str, q: Array) -> Reading | None:
         """How far the frame of a contact is from where it is held; None where it is not held along one direction."""
@@ -151,7 +201,10 @@ class Geometry:
         held = able if entry.holds == "all" else entry.constrained
         free = tuple(axis for axis in able if axis not in held)
         contact: Contact = AxesContact(entry.frame, held, free)
-        if entry.in_ == "on":
+        ground = self._ground(name, entry) is not None
+        if entry.radius is not None or (ground and set(held) == {"vx", "vy", "vz"}):
+            contact = RoundFoot(entry.frame, origin.rotation, entry.radius or 0.0)
+        elif entry.in_ == "on" or (ground and entry.sole is None):
             contact = WorldAxesContact(entry.frame, held, origin.rotation, free)
         along: dict[int, Scalar] = {}
         for axis in free:
@@ -171,7 +224,13 @@ class Geometry:
         state, friction = self.robot.state(q, np.zeros(self.robot.nv)), entry.coulomb
         key = "friction" if entry.feedforward == "modelled" else "pushes"
         origin, on = self._on(name, entry, q)
-        place = None if on is None or entry.surface is not None else origin.rotation
+        flat = on is not None and entry.surface is None and not isinstance(contact, RoundFoot)
+        place = origin.rotation if flat else None
+        if entry.sole is not None:
+            with self.faults.at("contacts", name, "sole"):
+                assert friction is not None
+                contact.pushes = Sole(d, entry.sole, friction.mu, push.least, place)
+            return
         with self.faults.at("contacts", name, key):
             if friction is None:
                 contact.pushes = unilateral(contact, state, d, push.least, place=place)

@@ -91,6 +91,25 @@ def select(basis: Array, table: Array, out: Array, bias: Array) -> None:
         bias[i] = -out[i, n - 2]
 
 
+@_compiled(types.void, _m, _m, _F, _v, _M, _V)
+def rolling(R_p: Array, R_f: Array, radius: float, V: Array, basis: Array, Adot_V: Array) -> None:
+    """Of a sphere on a plane with the axes R_p, its frame at R_f with twist V: A and free rows, and Adot V (`foot`)."""
+    X = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            X[i, j] = R_p[0, i] * R_f[0, j] + R_p[1, i] * R_f[1, j] + R_p[2, i] * R_f[2, j]
+    for j in range(3):
+        basis[0, j], basis[1, j], basis[2, j] = -radius * X[1, j], radius * X[0, j], 0.0
+        for i in range(3):
+            basis[i, 3 + j] = basis[3 + i, j] = X[i, j]
+            basis[3 + i, 3 + j] = 0.0
+    x = V[1] * V[5] - V[2] * V[4]
+    y = V[2] * V[3] - V[0] * V[5]
+    z = V[0] * V[4] - V[1] * V[3]
+    for i in range(3):
+        Adot_V[i] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z
+
+
 @_compiled(types.void, _m, _v, _v, _V)
 def wanted(free: Array, y: Array, bias: Array, b: Array) -> None:
     """b = bias, with free y added to its last rows."""

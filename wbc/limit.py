@@ -74,7 +74,7 @@ class JointLimit:
     """Position and velocity limits that the joint can always brake to meet.
 
     q, v are (nv,) [rad, rad/s]; `a` [rad/s^2] the braking deceleration, `j` [rad/s^3] its build-up; all per joint.
-    Infinite limits bind nothing.
+    Infinite limits bind nothing. Of a floating base (`FloatingJointLimit`) these are the joints alone.
     """
 
     def __init__(self, q_min: Array, q_max: Array, v_max: Array, a: Array, j: Array, joints: tuple[str, ...]) -> None:
@@ -122,19 +122,42 @@ class JointLimit:
         return f"{'position' if near else 'velocity'}[{self.joints[i]}]"
 
 
+class FloatingJointLimit(JointLimit):
+    """The same of a robot with a floating base, whose six velocities come first and have no limits."""
+
+    def viable_speed(self, q: Array) -> Array:
+        return super().viable_speed(q[7:])
+
+    def fill(self, q: Array, v: Array, dt: float, rows: Rows) -> None:
+        braking_bounds(q[7:], v[6:], dt, self._table, SETTLE, rows.lo[6:], rows.hi[6:])
+
+    def rows(self, q: Array, v: Array, dt: float) -> Rows:
+        rows = Rows("joint", {"vdot": None}, np.full(6 + self.n, -np.inf), np.full(6 + self.n, np.inf))
+        self.fill(q, v, dt, rows)
+        return rows
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return (*(f"base[{i}]" for i in range(6)), *super().labels)
+
+
 def braking(robot: Robot, tau_min: Array, tau_max: Array, rate: Array, samples: int = 64) -> tuple[Array, Array]:
     """Deceleration (nv,) and its build-up (nv,) that all joints can count on together, over sampled poses.
 
     The torque that gravity leaves must yield M a, and its rate M j: the joints push one another through M, so an
-    inertia of its own would promise each of them too much.
+    inertia of its own would promise each of them too much. What a floating base loads its joints with is the contacts'
+    affair: there half of the torque counts as spare, and the base as held.
     """
     rng = np.random.default_rng(0)
     low, high = np.maximum(robot.q_min, -np.pi), np.minimum(robot.q_max, np.pi)
-    spare, inertia = np.full(robot.nv, np.inf), np.zeros((robot.nv, robot.nv))
+    spare, inertia = np.full(robot.nu, np.inf), np.zeros((robot.nu, robot.nu))
     for _ in range(samples):
-        state = robot.state(rng.uniform(low, high), np.zeros(robot.nv))
-        spare = np.minimum(spare, np.minimum(tau_max - state.h, state.h - tau_min))
-        inertia = np.maximum(inertia, np.abs(state.M))
+        state = robot.state(robot.posed(rng.uniform(low, high)), np.zeros(robot.nv))
+        load = state.h[robot.base :]
+        spare = np.minimum(spare, np.minimum(tau_max - load, load - tau_min))
+        inertia = np.maximum(inertia, np.abs(state.M[robot.base :, robot.base :]))
+    if robot.base:
+        spare = 0.5 * np.minimum(tau_max, -tau_min)
     # a motor that cannot even hold the arm up everywhere still brakes with a tenth of its torque
     spare = np.maximum(spare, 0.1 * np.minimum(tau_max, -tau_min))
     return np.minimum(_fair(inertia, spare), 1e3), np.minimum(_fair(inertia, rate), 1e6)
@@ -151,8 +174,8 @@ def _fair(inertia: Array, effort: Array) -> Array:
 
 
 def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, JointLimit | None]:
-    """Limits from `torque`, `torque_rate`, `position`, `velocity`: "model", a number or (nv,) within it, or None."""
-    n = robot.nv
+    """Limits from `torque`, `torque_rate`, `position`, `velocity`: "model", a number or (nu,) within it, or None."""
+    n = robot.nu
 
     def value(name: str, model: Array) -> Array:
         given = limits.get(name, "model")
@@ -174,9 +197,10 @@ def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, J
     rate = value("torque_rate", free)
     torque = TorqueLimit(low, high, rate, robot.joints)
     position, v_max = limits.get("position", "model"), value("velocity", robot.v_max)
-    if robot.nq != n or (position is None and not np.isfinite(v_max).any()):
+    if robot.nq != n + (7 if robot.base else 0) or (position is None and not np.isfinite(v_max).any()):
         return torque, None
     margin = float(position) if isinstance(position, (int, float)) else 0.0
     q_min, q_max = (free * -1, free) if position is None else (robot.q_min + margin, robot.q_max - margin)
     a, j = braking(robot, low, high, rate)
-    return torque, JointLimit(q_min, q_max, v_max, a, j, robot.joints)
+    kind = FloatingJointLimit if robot.base else JointLimit
+    return torque, kind(q_min, q_max, v_max, a, j, robot.joints)

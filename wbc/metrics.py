@@ -24,6 +24,7 @@
     TASK.external.rms_error, .lag                  observer: error of its model, and of its lag [N]
     TASK.step_error, .bode.gain_error, .phase_error        one axis: against the closed form [1], [dB], [deg]
     TASK.compliance_error, CONTACT.stiffness_error, stiffness.ratio     the two ideals (`response`) [1]
+  of a robot with a floating base also what `stance` tells.
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
     joint.max_excess                               position beyond its limit [rad]
@@ -42,7 +43,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import response
+from . import response, stance
 from .contact import AxesContact, Contact
 from .log import Log
 from .qp import Array
@@ -77,7 +78,7 @@ def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
                 names += [
                     f"{name}.{screw}.{figure}" for screw in _screws(task) for figure in ("rms_error", "max_error")
                 ]
-    return sorted(set(names))
+    return sorted({*names, *stance.names(phases)})
 
 
 _MOTION = (
@@ -144,7 +145,12 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
             way = np.cumsum(rate[late]) * log.meta["dt"]
             out[f"{name}.{axis}.speed.max"] = float(np.abs(rate[held]).max()) if held.any() else math.nan
             out[f"{name}.{axis}.slip"] = float(np.abs(way).max()) if late.any() else math.nan
-    return out | response.figures(log, phases, settle) | _limits(log)
+    out |= response.figures(log, phases, settle) | _limits(log)
+    return out | stance.figures(log, phases, settle) if any(f"{name}.way" in log for name in _contacts(phases)) else out
+
+
+def _contacts(phases: Sequence[Any]) -> set[str]:
+    return {name for phase in phases for name in phase.contacts}
 
 
 def _pressed(task: Any) -> str | None:
@@ -218,12 +224,17 @@ def _errors(name: str, error: Array) -> dict[str, float]:
     return {f"{name}.rms_error": float(np.sqrt(np.mean(error**2))), f"{name}.max_error": float(np.abs(error).max())}
 
 
+def _joints(log: Log) -> Array:
+    """(N, nu) positions of the joints; a floating base comes before them."""
+    return log["q"][:, -len(log.meta["q_max"]) :]
+
+
 def _limits(log: Log) -> dict[str, float]:
     tau, low, high = log["tau"], log["tau_min"], log["tau_max"]
     rate = np.abs(np.diff(tau, axis=0)) / log.meta["dt"]
     limit = log["torque_rate_limit"][1:]
     joint = (
-        np.maximum(log["q"] - log.meta["q_max"], np.array(log.meta["q_min"]) - log["q"])
+        np.maximum(_joints(log) - log.meta["q_max"], np.array(log.meta["q_min"]) - _joints(log))
         if log.meta.get("q_max")
         else np.zeros(1)
     )

@@ -315,6 +315,31 @@ def to_pinocchio(model: mujoco.MjModel, qpos: Array, qvel: Array) -> tuple[Array
     return q, v
 
 
+def to_mujoco(model: mujoco.MjModel, q: Array, v: Array) -> tuple[Array, Array]:
+    """Pinocchio's (q, v) as MuJoCo's (qpos, qvel): quaternions wxyz, linear base velocity in the world's axes."""
+    qpos, qvel = np.array(q, float), np.array(v, float)
+    for joint in np.flatnonzero(model.jnt_type < 2):
+        at, dof = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
+        free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        at += 3 if free else 0
+        qpos[at : at + 4] = np.roll(qpos[at : at + 4], 1)
+        if free:
+            qvel[dof : dof + 3] = _pose(np.zeros(3), qpos[at : at + 4]).rotation @ qvel[dof : dof + 3]
+    return qpos, qvel
+
+
+def acceleration_to_pinocchio(model: mujoco.MjModel, qpos: Array, qvel: Array, qacc: Array) -> Array:
+    """MuJoCo's qacc as Pinocchio's vdot: of a free base T qacc - w x v, its linear velocity seen from turning axes."""
+    q, v = to_pinocchio(model, qpos, qvel)
+    return np.asarray(_velocity_map(model, qpos) @ qacc + _acceleration_offset(model, q, v))
+
+
+def acceleration_to_mujoco(model: mujoco.MjModel, q: Array, v: Array, vdot: Array) -> Array:
+    """Pinocchio's vdot as MuJoCo's qacc."""
+    qpos, _ = to_mujoco(model, q, v)
+    return np.asarray(_velocity_map(model, qpos).T @ (vdot - _acceleration_offset(model, q, v)))
+
+
 def open_welds(model: mujoco.MjModel, qpos: Array) -> list[tuple[str, str, float]]:
     """Of every weld or connection of two sites, their names and how far they are apart at `qpos` [m, rad]."""
     data = mujoco.MjData(model)

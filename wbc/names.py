@@ -79,6 +79,8 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
             names.frame(reference.curve.in_, ("references", name, reference.kind, "in"), fixed=True)
     for name, contact in spec.contacts.items():
         names.frame(contact.frame, ("contacts", name, "frame"), moves=True, body=True)
+        if contact.ground is not None:
+            names.frame(contact.ground, ("contacts", name, "ground"), fixed=True)
         if contact.on is not None:
             names.frame(contact.on, ("contacts", name, "on"), fixed=True)
         for screw, motion in (contact.free or {}).items():
@@ -101,8 +103,8 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
         value = getattr(spec.limits, limit)
         if isinstance(value, dict):
             names.joints(value, ("limits", limit))
-        elif isinstance(value, tuple) and len(value) != robot.nv:
-            faults.add(("limits", limit), f"expected {robot.nv} numbers, one a joint, got {len(value)}")
+        elif isinstance(value, tuple) and len(value) != robot.nu:
+            faults.add(("limits", limit), f"expected {robot.nu} numbers, one a joint, got {len(value)}")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from .centroidal import ComTask, WholeBodyPosture
 from .contact import Contact
 from .dynamics import fill, gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
@@ -68,6 +69,9 @@ def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any
         if contact is not None and contact not in contacts:
             raise NameNotFound(f"contact (of task {name!r})", contact, contacts)
         robot.frame_id(getattr(task, "frame", robot.frames[0]))
+        for shared in getattr(task, "shares", ()):
+            if shared not in contacts:
+                raise NameNotFound(f"contact (of task {name!r})", shared, contacts)
     torque, joint = make_limits(robot, limits)
     weights = {name: float(weight) for name, (_, weight) in placed.items()}
     return Phase(dict(contacts), {name: task for name, (task, _) in placed.items()}, weights, torque, joint)
@@ -78,18 +82,21 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
     state = State(start.terms, start.q, start.v)
     hold(state, phase)
     rows = [held.G for held in state.contacts.values()]
-    rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, MotionTask | Compliance)]
+    moving = MotionTask | Compliance | ComTask
+    rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, moving)]
     rank = np.linalg.matrix_rank(np.concatenate(rows)) if rows else 0
     postures = [name for name, task in phase.tasks.items() if isinstance(task, PostureTask)]
     tasks = dict(phase.tasks)
     if rank >= start.robot.nv:
         for name in postures:
             del tasks[name]
-            note = f"{name}: dropped, contacts and motion leave no null space of the {start.robot.nv} joints"
+            note = f"{name}: dropped, contacts and motion leave no null space of the {start.robot.nu} joints"
             if note not in notes:
                 notes.append(note)
     elif not postures:
-        tasks["self_motion"] = PostureTask(start.q, kp=0.0, kd=10.0)
+        robot = start.robot
+        still = WholeBodyPosture(start.q, 0.0, 10.0, robot.nu) if robot.base else PostureTask(start.q, 0.0, 10.0)
+        tasks["self_motion"] = still
     return replace(phase, tasks=tasks, weights={name: phase.weights.get(name, 1.0) for name in tasks})
 
 
@@ -135,6 +142,8 @@ def _unheld(state: State, frame: str, F: Array) -> tuple[str, Array]:
 class Program:
     """The program of one phase. Its structure is fixed here; `assemble` fills in the numbers of a tick."""
 
+    notes: tuple[str, ...] = ()  # what its structure has to tell
+
     def __init__(self, phase: Phase, start: State) -> None:
         self.phase = phase
         self.motion = {n: t for n, t in phase.tasks.items() if isinstance(t, MotionTask)}
@@ -166,12 +175,10 @@ class Program:
         state = State(start.terms, start.q, start.v)
         hold(state, phase)
         sizes = {"vdot": state.robot.nv} | {name: contact.k for name, contact in phase.contacts.items()}
-        hard = [
-            c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in phase.contacts.items()
-        ]
+        hard = self._contact_rows(state)
         self.pushing = {name: c.pushes for name, c in phase.contacts.items() if c.pushes is not None}
         hard += self._cones(state)
-        hard.append(torque_map(state).rows(phase.torque.low, phase.torque.high, phase.torque.labels))
+        hard += self._dynamic_rows(state)
         joint = (
             phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
         )
@@ -203,21 +210,44 @@ class Program:
         """The problem of a tick, in `strict`; False when it must not be solved."""
         phase = self.phase
         self._costs = self.costs(state)
-        self._hard = hard = []
-        for name, contact in phase.contacts.items():
-            rows = self.strict.stored[name]
-            contact.fill(state.contacts[name], rows)
-            hard.append(rows)
+        self._hard = hard = self._held(state)
         if self.pushing:
             hard += self._cones(state)
-        self.window = phase.torque.window(tau_last, dt, state.bias, self._torque)
-        fill(state, self._torque)
-        hard.append(self._torque)
+        hard += self._dynamics(state, tau_last, dt)
         if self._joint is not None and phase.joint is not None:
             phase.joint.fill(state.q, state.v, dt, self._joint)
             hard.append(self._joint)
         self.last = self.strict
         return _fill(self.strict, self._costs, hard)
+
+    def _contact_rows(self, state: State) -> list[Rows]:
+        """The constraints of the contacts, with the names of their rows."""
+        contacts = self.phase.contacts.items()
+        return [c.rows(name, state.contacts[name])._replace(labels=c.labels(name)) for name, c in contacts]
+
+    def _dynamic_rows(self, state: State) -> list[Rows]:
+        """Equations of motion, with the torque within its limits."""
+        limit = self.phase.torque
+        return [torque_map(state).rows(limit.low, limit.high, limit.labels)]
+
+    def _held(self, state: State) -> list[Rows]:
+        """The constraints of the contacts at a tick."""
+        hard = []
+        for name, contact in self.phase.contacts.items():
+            rows = self.strict.stored[name]
+            contact.fill(state.contacts[name], rows)
+            hard.append(rows)
+        return hard
+
+    def _dynamics(self, state: State, tau_last: Array, dt: float) -> list[Rows]:
+        """Equations of motion at a tick, with the torque within its window."""
+        self.window = self.phase.torque.window(tau_last, dt, state.bias, self._torque)
+        fill(state, self._torque)
+        return [self._torque]
+
+    def rest(self, state: State) -> Array:
+        """(nu,) the torque that holds the robot's weight at a state [N m]."""
+        return state.gravity()
 
     def _cones(self, state: State) -> list[Rows]:
         """Inequalities of the contacts that only push."""

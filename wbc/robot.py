@@ -162,7 +162,9 @@ class Robot:
 
     `gravity`: who adds g(q) to the torque, "controller" (this package) or "robot" (its driver; limits hold for the
     sum).
-    Limits are (nv,): tau [N m], q [rad or m], v [rad/s or m/s], infinite where the model states none.
+    `base`: how many of the velocities, the first ones, no motor drives: 0, or 6 of a floating base, whose q begins with
+    (x, y, z, quaternion xyzw) and whose v with (v, w) in the axes of the base. `joints` are the nu = nv - base others.
+    Limits are (nu,): tau [N m], q [rad or m], v [rad/s or m/s], infinite where the model states none.
     """
 
     name: str
@@ -180,6 +182,7 @@ class Robot:
     plant: Any = None  # the same with the joints of the scene and the tool's passive ones, for the simulator alone
     model_error: float = 0.0  # worst disagreement of MuJoCo and Pinocchio at load
     has_scene: bool = False
+    base: int = 0
     _ids: dict[str, int] = field(default_factory=dict, init=False, repr=False)
     _maps: dict[tuple[str, str], Array | None] = field(default_factory=dict, init=False, repr=False)
     _axes: dict[str, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
@@ -187,6 +190,8 @@ class Robot:
     def __post_init__(self) -> None:
         if self.gravity not in ("controller", "robot"):
             raise ModelError(f"gravity: expected 'controller' or 'robot' (who adds it), got {self.gravity!r}")
+        if self.base and self.gravity == "robot":
+            raise ModelError("gravity: no driver adds it for a robot with a floating base; expected 'controller'")
         self._ids.update({frame.name: i for i, frame in enumerate(self.model.frames)})
 
     @classmethod
@@ -207,15 +212,16 @@ class Robot:
         q_min, q_max = _position_limits(mj)
         keyframes = {"home": mj.qpos0} | {name: qpos for name, qpos in composed.keys.items() if qpos.size == mj.nq}
         damping = np.array([np.ravel(d)[0] for d in mj.dof_damping]) if mj.nv else np.zeros(0)
+        base = _floating(model)
         return cls(
             name=name or str(robot),
             model=model,
-            joints=tuple(model.names)[1:],
-            tau_min=low,
-            tau_max=high,
-            q_min=q_min,
-            q_max=q_max,
-            v_max=_velocity_limits(mj),
+            joints=_driven(model),
+            tau_min=low[base:],
+            tau_max=high[base:],
+            q_min=q_min[base:],
+            q_max=q_max[base:],
+            v_max=_velocity_limits(mj)[base:],
             keyframes={name: models.to_pinocchio(mj, qpos, np.zeros(mj.nv))[0] for name, qpos in keyframes.items()},
             gravity=gravity,
             damping=damping if damping.any() else None,
@@ -223,26 +229,34 @@ class Robot:
             plant=plant,
             model_error=error,
             has_scene=scene is not None,
+            base=base,
         )
 
     @classmethod
     def from_pinocchio(cls, model: pin.Model, gravity: str = "controller") -> Robot:
         """A robot from a Pinocchio model of one's own; limits are the model's."""
         damping = np.array(model.damping) if np.any(model.damping) else None
+        base = _floating(model)
         return cls(
             name=model.name,
             model=model,
-            joints=tuple(model.names)[1:],
-            tau_min=_stated(model.lowerEffortLimit),
-            tau_max=_stated(model.upperEffortLimit),
-            q_min=_per_velocity(model, model.lowerPositionLimit, -np.inf),
-            q_max=_per_velocity(model, model.upperPositionLimit, np.inf),
-            v_max=_stated(model.upperVelocityLimit),
+            joints=_driven(model),
+            tau_min=_stated(model.lowerEffortLimit)[base:],
+            tau_max=_stated(model.upperEffortLimit)[base:],
+            q_min=_per_velocity(model, model.lowerPositionLimit, -np.inf)[base:],
+            q_max=_per_velocity(model, model.upperPositionLimit, np.inf)[base:],
+            v_max=_stated(model.upperVelocityLimit)[base:],
             keyframes={"home": pin.neutral(model)}
             | {k.key(): np.array(k.data()) for k in model.referenceConfigurations},
             gravity=gravity,
             damping=damping,
+            base=base,
         )
+
+    @cached_property
+    def nu(self) -> int:
+        """Number of motors."""
+        return len(self.joints)
 
     @cached_property
     def nv(self) -> int:
@@ -277,6 +291,27 @@ class Robot:
                 X[:3, 3:] = -R @ pin.skew(p)
             self._maps[key] = X
         return self._maps[key]
+
+    def posed(self, joints: Array) -> Array:
+        """(nq,) the configuration with these joint positions (nu,); a floating base is where `home` has it."""
+        return np.concatenate((self.keyframes["home"][:7], joints)) if self.base else joints
+
+    def from_mujoco(self, qpos: Array, qvel: Array, qacc: Array | None = None) -> tuple[Array, ...]:
+        """MuJoCo's (qpos, qvel) or (qpos, qvel, qacc) of this robot as (q, v) or (q, v, vdot). Exact."""
+        mj = self._compiled()
+        found = models.to_pinocchio(mj, qpos, qvel)
+        return found if qacc is None else (*found, models.acceleration_to_pinocchio(mj, qpos, qvel, qacc))
+
+    def to_mujoco(self, q: Array, v: Array, vdot: Array | None = None) -> tuple[Array, ...]:
+        """(q, v) or (q, v, vdot) as MuJoCo's (qpos, qvel) or (qpos, qvel, qacc). Exact."""
+        mj = self._compiled()
+        found = models.to_mujoco(mj, q, v)
+        return found if vdot is None else (*found, models.acceleration_to_mujoco(mj, q, v, vdot))
+
+    def _compiled(self) -> Any:
+        if self.mujoco is None:
+            raise ModelError("only a robot that was loaded from a file has a MuJoCo model")
+        return self.mujoco
 
     def state(self, q: Array, v: Array, t: float = 0.0, dt: float = 1e-3) -> State:
         """A `State` with storage of its own."""
@@ -324,6 +359,16 @@ class Robot:
                 reach = np.maximum(reach, np.abs(self.state(q, np.zeros(self.nv)).frame(frame_name).J).max(axis=1))
             self._axes[frame_name] = tuple(int(i) for i in np.flatnonzero(reach > 1e-9))
         return self._axes[frame_name]
+
+
+def _floating(model: pin.Model) -> int:
+    """How many velocities no motor drives: the six of a floating base, which is the first joint."""
+    return 6 if model.njoints > 1 and model.joints[1].nv == 6 else 0
+
+
+def _driven(model: pin.Model) -> tuple[str, ...]:
+    """Names of the joints, but for that of a floating base."""
+    return tuple(model.names)[2 if _floating(model) else 1 :]
 
 
 def _position_limits(mj: Any) -> tuple[Array, Array]:

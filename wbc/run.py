@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from . import analytic, material
+from . import analytic, material, stance
 from .build import Built
 from .contact import Contact
 from .controller import Controller, Output, Status
@@ -123,6 +123,8 @@ def _loop(
             touched[name] = touching
         log.append(out.active, **row)
         _record_pushes(log, controller, simulator)
+        if built.robot.base:
+            stance.record(log, controller, simulator, out, contacts)
         _note_phase(log, controller, seen.t, out)
         if hook is not None:
             hook(seen, out)
@@ -237,7 +239,7 @@ def _name(built: Built) -> str:
 
 def _meta(built: Built, seed: int) -> dict[str, Any]:
     robot = built.robot
-    finite = bool(robot.nq == robot.nv)
+    finite = bool(robot.nq == robot.nv or robot.base)
     return {
         "title": built.spec.title, "spec": _name(built), "seed": seed, "dt": built.controller.dt, "robot": robot.name,
         "joints": list(robot.joints), "status_names": STATUS_NAMES, "settle": built.spec.expect.settle,

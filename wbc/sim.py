@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from . import material
+from . import model as models
 from .errors import ModelError, SimulationError
 from .model import body_name, quietly, to_pinocchio
 from .outside import Outside, carried, has_site
@@ -69,7 +70,7 @@ class Simulator:
         self._rng = np.random.default_rng(seed)
         self._delayed: deque[Array] = deque(maxlen=(plant.delay if plant is not None else 0) + 1)
         self._sensor = ForceSensor(robot) if all(_has_sensor(self.model, name) for name in SENSORS) else None
-        self._motors = _actuators(self.model, self._own_v)
+        self._motors = _actuators(self.model, self._own_v[robot.base :])
         self._driver = robot.model.createData()
         self._outside = Outside(self.model, plant)
 
@@ -79,7 +80,8 @@ class Simulator:
         mujoco.mj_step1(self.model, self.data)
         q, v = self._state()
         if self._noise is not None and (self._noise.position or self._noise.velocity):
-            q = q + self._rng.normal(0.0, 1.0, q.size) * self._noise.position
+            away = self._rng.normal(0.0, 1.0, v.size) * self._noise.position
+            q = pin.integrate(self.robot.model, q, away) if self.robot.base else q + away
             v = v + self._rng.normal(0.0, 1.0, v.size) * self._noise.velocity
         return Observation(self.data.time, q, v)
 
@@ -87,7 +89,7 @@ class Simulator:
         return to_pinocchio(self.robot.mujoco, self.data.qpos[self._own_q], self.data.qvel[self._own_v])
 
     def apply(self, tau: Array) -> None:
-        """Send a torque (nv,) [N m], after the plant's delay, and go on to the next tick.
+        """Send a torque (nu,) [N m], after the plant's delay, and go on to the next tick.
 
         A robot whose driver adds gravity does so here, from its nominal model.
         """
@@ -215,6 +217,39 @@ class Simulator:
                 F[3:] += sign * (R.T @ f)
         return Touch(F, points, mu)
 
+    def true_com(self) -> Array:
+        """(3,) the robot's centre of mass at the last tick, in the world."""
+        root = int(np.flatnonzero(self.model.body_weldid)[0])
+        return np.asarray(self.data.subtree_com[self.model.body_rootid[root]].copy())
+
+    def true_slip(self, frame: str) -> Array:
+        """(points, 3) velocity across the contact of each touching geom of the body of `frame`, where it touches, less
+        that of what it touches, in the world; zero where nothing is touched."""
+        (body, *_), rigid = carried(self.model, self.data, frame), self.robot.mujoco.body_weldid
+        model, data = self.model, self.data
+        touching = (model.geom_contype | model.geom_conaffinity) > 0
+        own = np.flatnonzero((rigid[model.geom_bodyid] == rigid[body]) & touching)
+        out, force = np.zeros((own.size, 3)), np.zeros(6)
+        for i in range(data.ncon):
+            contact = data.contact[i]
+            inside = [geom in own for geom in contact.geom]
+            if inside[0] == inside[1]:
+                continue
+            mujoco.mj_contactForce(model, data, i, force)
+            if force[0] <= 0.0:
+                continue
+            geoms = contact.geom if inside[0] else contact.geom[::-1]
+            v = self._velocity_at(geoms[0], contact.pos) - self._velocity_at(geoms[1], contact.pos)
+            n = contact.frame[:3]
+            out[int(np.flatnonzero(own == geoms[0])[0])] = v - n * (n @ v)
+        return out
+
+    def _velocity_at(self, geom: int, place: Array) -> Array:
+        """(3,) velocity of a geom's material point."""
+        J = np.zeros((3, self.model.nv))
+        mujoco.mj_jac(self.model, self.data, J, None, place, int(self.model.geom_bodyid[geom]))
+        return np.asarray(J @ self.data.qvel)
+
     def _equalities(self) -> Iterator[tuple[Array, Array, Array, Array]]:
         """Of every weld and connection of two sites: its place, moment and force on the body of the first site, in the
         world's axes, and both bodies.
@@ -247,11 +282,7 @@ class Simulator:
 
 def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:
     """Pinocchio's q as MuJoCo's qpos: quaternions wxyz."""
-    qpos = np.array(q, float)
-    for joint in np.flatnonzero(model.jnt_type < 2):
-        at = model.jnt_qposadr[joint] + (3 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE else 0)
-        qpos[at : at + 4] = np.roll(q[at : at + 4], 1)
-    return qpos
+    return models.to_mujoco(model, q, np.zeros(model.nv))[0]
 
 
 def own_coordinates(robot: Robot) -> tuple[Array, Array]:
@@ -282,9 +313,10 @@ def _changed(robot: Robot, plant: Any, own: Array) -> mujoco.MjModel:
     if plant.payload:
         at = plant.payload_at
         model.body_mass[carrier(robot, at)[0] if at is not None else _last_body(robot.mujoco)] += plant.payload
-    model.dof_frictionloss[own] += plant.joint_friction
+    driven = own[robot.base :]
+    model.dof_frictionloss[driven] += plant.joint_friction
     if plant.armature is not None:
-        model.dof_armature[own] = plant.armature
+        model.dof_armature[driven] = plant.armature
     if plant.contact_friction:
         touching = (model.geom_contype | model.geom_conaffinity) > 0
         model.geom_friction[touching, 0] = plant.contact_friction
@@ -321,7 +353,7 @@ def _has_sensor(model: mujoco.MjModel, name: str) -> bool:
 
 
 def _actuators(model: mujoco.MjModel, own: Array) -> tuple[Any, Any, Array]:
-    """The motors of the robot's own joints, for each its velocity's number among the robot's, and its gear."""
+    """The motors of the velocities `own`, for each its velocity's number among these, and its gear."""
     dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
     motors = np.flatnonzero(np.isin(dofs, own))
     gear = model.actuator_gear[motors, 0] * model.actuator_gainprm[motors, 0]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from . import spec as specs
+from .centroidal import ComTask, DistributionTask, WholeBodyPosture
 from .contact import AxesContact, Contact, SphereContact
 from .geometry import Geometry
 from .impedance import AdmittanceTask, Compliance, ImpedanceTask
@@ -44,9 +45,15 @@ class Tracking:
                     tasks[name] = self._motion(name, entry)
                 elif isinstance(entry, specs.ImpedanceTask | specs.AdmittanceTask):
                     tasks[name] = self._compliance(name, entry)
+                elif isinstance(entry, specs.ComTask):
+                    kp, kd = (self._gain(entry, name, key, ("x", "y", "z")) for key in ("kp", "kd"))
+                    tasks[name] = ComTask(self.geometry.com_path(name, entry, self.contacts, q), kp, kd)
+                elif isinstance(entry, specs.DistributionTask):
+                    tasks[name] = self._distribution(name, entry)
                 else:
                     kp, kd = (self._gain(entry, name, key, robot.joints) for key in ("kp", "kd"))
-                    tasks[name] = PostureTask(_posture(robot, entry.target, q), kp, kd, robot.nv)
+                    kind = WholeBodyPosture if robot.base else PostureTask
+                    tasks[name] = kind(_posture(robot, entry.target, q), kp, kd, robot.nu)
         return tasks
 
     def _gain(self, entry: specs.Task, task: str, key: str, axes: Sequence[str]) -> Any:
@@ -60,6 +67,12 @@ class Tracking:
             self.geometry.faults.add(("tasks", task, key), message)
             return 0.0
         return np.array(value, float)
+
+    def _distribution(self, name: str, entry: specs.DistributionTask) -> DistributionTask:
+        if not self.geometry.robot.base:
+            message = "the contacts of a robot that stands on its base share nothing; expected a floating base"
+            self.geometry.faults.add(("tasks", name, "type"), message)
+        return DistributionTask(entry.shares)
 
     def _motion(self, name: str, entry: specs.MotionTask) -> MotionTask:
         frame, axes = self._place(entry)
@@ -131,10 +144,10 @@ class Tracking:
 
 
 def joint_values(robot: Robot, values: Mapping[str, float], base: Array) -> Array:
-    """`base` (nv,) with the values of some joints."""
-    out = base.copy()
+    """`base`, over joints or as a configuration, with the values of some joints, which come last."""
+    out, first = base.copy(), base.size - robot.nu
     for joint, value in values.items():
-        out[robot.joints.index(joint)] = value
+        out[first + robot.joints.index(joint)] = value
     return out
 
 

@@ -76,6 +76,7 @@ from .second_order import (
     natural_frequency,
     step_response,
 )
+from .surface import corner_forces_map, surface_cone
 
 __all__ = [
     "Array",
@@ -90,6 +91,7 @@ __all__ = [
     "computed_torque",
     "constrained_acceleration",
     "constraint_inertia",
+    "corner_forces_map",
     "critical_friction",
     "cut_to_cone",
     "damping_limit",
@@ -140,6 +142,7 @@ __all__ = [
     "sliding_multipliers",
     "sliding_torque",
     "step_response",
+    "surface_cone",
     "task_bias",
     "task_inertia",
     "terminal_velocity",

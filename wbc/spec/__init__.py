@@ -17,7 +17,17 @@ from .limit import Bound, Expect, Limits, Margin, Noise, Plant, Scale
 from .phase import Phase, Until, Within
 from .push import Bias, Move, Push, Sine, Wave
 from .reference import Arc, Circle, Curve, Hold, Line, Lissajous, Profile, Quintic, Reference
-from .task import AdmittanceTask, ForceTask, ImpedanceTask, MotionTask, PostureTask, Task
+from .task import (
+    AdmittanceTask,
+    ComTask,
+    DistributionTask,
+    ForceTask,
+    ImpedanceTask,
+    MotionTask,
+    Over,
+    PostureTask,
+    Task,
+)
 
 __all__ = [
     "MAX_ENTRIES",
@@ -42,5 +52,6 @@ __all__ += [
     "Task",
     "Unilateral",
 ]
+__all__ += ["ComTask", "DistributionTask", "Over"]
 __all__ += ["AdmittanceTask", "Bias", "ImpedanceTask", "Move", "Push", "Sine", "Wave"]
 __all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until", "Within"]

@@ -15,7 +15,7 @@ from ..errors import did_you_mean
 from .fields import shown
 from .phase import STOP
 from .source import MAX_FAULTS, KeyPath, Message, NoSuchKey, dotted, put
-from .task import AdmittanceTask, ForceTask, ImpedanceTask, MotionTask, PostureTask
+from .task import AdmittanceTask, ComTask, DistributionTask, ForceTask, ImpedanceTask, MotionTask, Over, PostureTask
 
 if TYPE_CHECKING:
     from .document import Spec
@@ -67,11 +67,29 @@ def _of_tasks(spec: Spec, left_out: LeftOut) -> Iterator[Message]:
     for name, task in spec.tasks.items():
         if isinstance(task, PostureTask):
             continue
+        if isinstance(task, ComTask | DistributionTask):
+            yield from ((("tasks", name, *key), message) for key, message in _of_body(task, spec, left_out))
+            continue
         for key, message in _of_task(task, spec, left_out):
             yield ("tasks", name, key), message
         if isinstance(task, ForceTask) and (first := forced.setdefault(task.contact, name)) != name:
             message = f"contact {task.contact!r} already has the force task {first!r}"
             yield ("tasks", name, "contact"), message
+
+
+def _of_body(task: ComTask | DistributionTask, spec: Spec, left_out: LeftOut) -> Iterator[tuple[KeyPath, str]]:
+    """The reference of a centre of mass, and the contacts that tasks of the whole body name."""
+    shares: Collection[str] = ()
+    key: KeyPath = ("shares",)
+    if isinstance(task, DistributionTask):
+        shares = task.shares or ()
+    elif isinstance(task.target, Over):
+        shares, key = task.target.over, ("target", "over")
+    elif task.reference is not None and (message := _unknown(task.reference, spec, "references", left_out)):
+        yield ("target",), message
+    for i, name in enumerate(shares):
+        if message := _unknown(name, spec, "contacts", left_out):
+            yield (*key, name if isinstance(shares, dict) else i), message
 
 
 def _of_plant(spec: Spec) -> Iterator[Message]:

@@ -109,6 +109,7 @@ def _zero(value: float) -> float:
 
 Zero = Annotated[Number, AfterValidator(_zero)]
 Row = Annotated[tuple[Number, ...], Field(min_length=6, max_length=6), named(", ".join(VELOCITY_AXES))]
+Sole = Annotated[tuple[Positive, Positive], named("length, width")]
 Wrench = Annotated[dict[WrenchAxis, Target], Tag("<map>")]
 Artificial = Annotated[ANumber | AName | Wrench, either("a number or the name of a reference")]
 
@@ -136,6 +137,20 @@ class Contact(OneOf):
         default=None, description="direction in which the world only pushes back: -z, +x, ..."
     )
     friction: Coefficient | None = Field(default=None, description="Coulomb friction across the push [1]")
+    sole: Sole | None = Field(
+        default=None, description="length along x and width along y of a flat sole, its middle the frame [m]"
+    )
+    radius: Positive | None = Field(
+        default=None, description="of a round foot that rolls, its centre the frame; else a point [m]"
+    )
+    ground: Text | None = Field(
+        default=None,
+        description="frame of the scene on whose plane z = 0 it stands, wherever the start has it; floor, where there "
+        "is one, for what pushes on a robot with a floating base",
+    )
+    settling: NonNegative | None = Field(
+        default=None, description="damping of motion against it; 20 on a robot with a floating base, else 0 [1/s]"
+    )
     feedforward: Literal["none", "measured", "modelled"] = Field(
         default="none",
         description="along the free axes: nothing, the measured wrench, or the friction of sliding in the model",
@@ -224,11 +239,46 @@ class Contact(OneOf):
                 bound = f"at {'most' if pushed < 0 else 'least'} {pushed * self.push.least:g}"
                 message = f"{target:g} N is less than the least push along {side}; expected {bound}"
                 yield ("artificial", *under, force), message
+        yield from self._standing()
         if self.feedforward == "modelled" and self.friction is None:
             yield ("feedforward",), "modelled friction needs its coefficient; expected `friction: MU` beside it"
         elif self.feedforward == "modelled" and {"vx", "vy", "vz"} <= set(self.constrained):
             message = "nothing slides, for vx, vy and vz are held; expected none or measured"
             yield ("feedforward",), f"modelled friction is that of sliding, but {message}"
+
+    def _standing(self) -> Iterator[Message]:
+        """Soles hold all and push along z with friction of four faces; round feet hold a point."""
+        for key in ("sole", "radius", "ground"):
+            if getattr(self, key) is not None and self.push is None:
+                yield (key,), "it only pushes; expected `pushes: -z` beside it"
+        if self.ground is not None and self.on is not None:
+            yield ("ground",), "it closes on one frame of the scene; expected either `on` or `ground`"
+        if self.radius is not None and self.sole is not None:
+            yield ("radius",), "a sole is flat; expected either `sole` or `radius`"
+        if self.radius is not None and (self.kind != "holds" or set(self.constrained) != {"vx", "vy", "vz"}):
+            yield ("radius",), "a round foot holds a point; expected `holds: [vx, vy, vz]`"
+        if self.radius is not None and self.push is not None and self.push.along != "-z":
+            yield (
+                ("radius",),
+                f"a round foot pushes along -z of its plane; expected `pushes: -z`, got {self.push.along}",
+            )
+        if self.sole is None:
+            return
+        if self.holds != "all":
+            yield ("sole",), "a sole holds every axis; expected `holds: all`"
+        if self.push is not None and self.push.along[-1] != "z":
+            yield ("sole",), f"a sole pushes along z; expected `pushes: -z`, got {self.push.along}"
+        if self.friction is None:
+            yield ("sole",), "a sole needs its friction; expected `friction: MU` beside it"
+        if (
+            isinstance(self.friction, Friction)
+            and self.friction.faces != 4
+            and "faces" in self.friction.model_fields_set
+        ):
+            yield (
+                ("friction", "faces"),
+                f"the corners of a sole have 4 faces each; expected 4, got {self.friction.faces}",
+            )
 
     def _of_surface(self) -> Iterator[Message]:
         """A surface holds the frame along its normal, and leaves one motion on it."""

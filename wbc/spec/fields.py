@@ -48,7 +48,9 @@ _EXPECTED = {
 }
 # Parts of pydantic's paths that are no keys of the file
 _TAGS = {"<number>", "<name>", "<list>", "<matrix>", "<map>", "<scale>", "<true>", "[key]"}
-_TAGS |= {"<force>", "<motion>", "<posture>", "<impedance>", "<admittance>"}
+_TAGS |= {"<force>", "<motion>", "<posture>", "<impedance>", "<admittance>", "<com>", "<distribution>"}
+
+_TYPES = ("force", "motion", "impedance", "admittance", "com", "distribution", "posture")
 
 
 def shown(value: Any) -> str:
@@ -116,7 +118,7 @@ class Model(BaseModel):
             named, types = bounds["tag"].strip("<>"), re.findall("<([a-z]+)>", bounds["expected_tags"])
             return (*path, "type"), f"unknown type {shown(named)}{did_you_mean(named, types)}"
         if kind == "union_tag_not_found" and isinstance(given, Mapping):
-            return (*path, "type"), "is missing; expected force, motion, impedance, admittance or posture"
+            return (*path, "type"), f"is missing; expected {', '.join(_TYPES[:-1])} or {_TYPES[-1]}"
         if kind == "literal_error":
             words = re.findall("'([^']*)'", bounds["expected"])
             return path, f"unknown word {shown(given)}{did_you_mean(str(given), words)}"

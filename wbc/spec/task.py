@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from .fields import Axes, Gain, Model, NonNegative, Pose, Positive, Text
+from .fields import Axes, Gain, Model, NonNegative, Pose, Positive, Text, either
 from .source import Message
 
 Error = Literal["log", "split"]
@@ -157,6 +157,55 @@ class PostureTask(Model):
     weight: Positive = Field(default=1.0, description="weight of the posture cost; any value keeps the equivalence [1]")
 
 
+class Over(Model):
+    """A point between contacts."""
+
+    over: Annotated[
+        Annotated[tuple[Text, ...], Field(min_length=1), Tag("<list>")]
+        | Annotated[dict[Text, NonNegative], Field(min_length=1), Tag("<map>")],
+        either("a list of contacts, or a mapping from contacts to shares"),
+    ] = Field(description="contacts over whose middle it is, or their shares [1]; its height is that of the start")
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Contact -> share, which add up to one."""
+        given = self.over if isinstance(self.over, dict) else dict.fromkeys(self.over, 1.0)
+        total = sum(given.values())
+        return {name: share / total for name, share in given.items()}
+
+    def _faults(self) -> Iterable[Message]:
+        if isinstance(self.over, dict) and not any(self.over.values()):
+            yield ("over",), "expected a share above 0, got none"
+
+
+class ComTask(Model):
+    """Hold or move the centre of mass."""
+
+    type: Literal["com"] = Field(description="com")
+    target: Annotated[
+        Annotated[Text, Tag("<name>")] | Annotated[Over, Tag("<map>")],
+        either("start, the name of a reference, or a mapping with over"),
+    ] = Field(default="start", description="start, the name of a reference, or over some contacts")
+    kp: Gain = Field(description="stiffness along the world's x, y, z [1/s^2]")
+    kd: Gain = Field(description="damping along the world's x, y, z [1/s]")
+    weight: Positive = Field(default=1.0, description="weight of the cost, relative [1]")
+
+    @property
+    def reference(self) -> str | None:
+        """The name of the reference that it follows."""
+        return self.target if isinstance(self.target, str) and self.target != "start" else None
+
+
+class DistributionTask(Model):
+    """Share what the motion needs among the contacts."""
+
+    type: Literal["distribution"] = Field(description="distribution")
+    shares: Annotated[dict[Text, NonNegative], Field(min_length=1)] | None = Field(
+        default=None, description="shares of the weight that contacts carry at rest [1]; else evenly"
+    )
+    weight: Positive = Field(default=1.0, description="weight of the cost, where inequalities make it compete [1]")
+
+
 def _type(value: Any) -> str | None:
     given = value.get("type") if isinstance(value, Mapping) else getattr(value, "type", None)
     return None if given is None else f"<{given}>"
@@ -167,6 +216,8 @@ Task = Annotated[
     | Annotated[MotionTask, Tag("<motion>")]
     | Annotated[ImpedanceTask, Tag("<impedance>")]
     | Annotated[AdmittanceTask, Tag("<admittance>")]
-    | Annotated[PostureTask, Tag("<posture>")],
+    | Annotated[PostureTask, Tag("<posture>")]
+    | Annotated[ComTask, Tag("<com>")]
+    | Annotated[DistributionTask, Tag("<distribution>")],
     Discriminator(_type),
 ]

@@ -1,0 +1,212 @@
+"""Robots that stand: redundant contacts, unsettled starts, fallbacks within limits, figures that can fail."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_floating import DOWN, FREE, contacts_of, first_tick, tasks_of
+
+from wbc.centroidal import DistributionTask, mass
+from wbc.contact import Settling
+from wbc.controller import Controller, Status
+from wbc.errors import LawError, NameNotFound, StateError
+from wbc.foot import RoundFoot
+from wbc.friction import unilateral
+from wbc.phase import place
+from wbc.robot import Robot
+from wbc.sim import Simulator
+from wbc.task import MotionTask
+from wbc.whole_body import WholeBodyProgram
+
+CORNERS = tuple(f"{side}_{corner}" for side in ("left", "right") for corner in ("a", "b", "c", "d"))
+
+
+@pytest.fixture(scope="module")
+def cornered():
+    """G1 with a frame in every corner of its soles."""
+
+    from wbc import model as models
+
+    composed = models.compose("g1", None, "floor")
+    for name in CORNERS:
+        side, corner = name.split("_")
+        x, y = (0.12 if corner in "ab" else -0.05), (0.025 if corner in "ac" else -0.025)
+        composed.spec.body(f"{side}_ankle_roll_link").add_site(name=name, pos=[x, y, -0.035])
+    mj = models.compile_model(composed.spec)
+    plain = Robot.load("g1", scene="floor")
+    from dataclasses import replace
+
+    return replace(plain, model=models.pinocchio_model(mj), mujoco=mj, plant=mj)
+
+
+def points(robot):
+    state = robot.state(robot.keyframes["home"], np.zeros(robot.nv))
+    made = {}
+    for name in CORNERS:
+        made[name] = RoundFoot(name, np.eye(3))
+        made[name].pushes = unilateral(made[name], state, DOWN, mu=0.6)
+        made[name].settling = Settling()
+    return made
+
+
+class TestRedundantContacts:
+    def controller(self, robot, solver="daqp"):
+        q = robot.keyframes["home"]
+        limits = {"torque": "model", "torque_rate": 2000.0, "position": "model", "velocity": "model"}
+        return Controller(robot, points(robot), tasks_of(robot, q), limits, q=q, solver=solver)
+
+    def test_the_rank_is_told(self, cornered):
+        assert "contacts hold 24 axes, of which 12 are independent" in self.controller(cornered).notes
+
+    def test_rank_of_soles_is_full_and_needs_no_note(self, g1):
+        controller = Controller(g1, contacts_of(g1), tasks_of(g1, g1.keyframes["home"]))
+        assert not controller.notes
+
+    @pytest.mark.parametrize("solver", ["daqp", "proxqp"])
+    def test_eight_points_stand_and_no_tick_is_refused(self, cornered, solver):
+        controller, q = self.controller(cornered, solver), cornered.keyframes["home"]
+        simulator = Simulator(cornered, q, 1e-3)
+        controller.reset(q, np.zeros(cornered.nv))
+        for _ in range(150):
+            seen = simulator.observe()
+            out = controller.step(seen.t, seen.q, seen.v)
+            assert out.status in (Status.OK, Status.LIMITED), out.reason
+            simulator.apply(out.tau)
+        lowest = min(-(controller.state.frame(n).T.rotation @ F[3:])[2] for n, F in out.wrenches.items())
+        assert lowest > 0.0
+
+    def test_their_wrenches_add_up_to_those_of_soles(self, cornered, g1):
+        """Eight points or two soles, the motion and what each foot carries are the same while no cone binds."""
+        q = g1.keyframes["home"]
+        soles = Controller(g1, contacts_of(g1, bound=False), tasks_of(g1, q), FREE, q=q)
+        bare = points(cornered)
+        for contact in bare.values():
+            contact.pushes = contact.settling = None
+        corners = Controller(cornered, bare, tasks_of(cornered, q), FREE, q=q)
+        (a, _), (b, _) = (first_tick(each, q, np.zeros(35)) for each in (soles, corners))
+        np.testing.assert_allclose(a.vdot, b.vdot, atol=1e-8 * (1.0 + np.abs(a.vdot).max()))
+        both = [sum(F[3:] @ np.eye(3)[2] for F in out.wrenches.values()) for out in (a, b)]
+        assert both[0] == pytest.approx(both[1], rel=1e-6)
+
+    def test_random_velocities_do_not_make_them_contradict(self, cornered, rng):
+        """Points of a foot that turns accelerate towards one another: as plain rows that has no answer."""
+        controller, q = self.controller(cornered), cornered.keyframes["home"]
+        for _ in range(10):
+            v = rng.uniform(-0.05, 0.05, cornered.nv)
+            out, _ = first_tick(controller, q, v)
+            assert out.status in (Status.OK, Status.LIMITED), out.reason
+
+
+class TestUnsettled:
+    def test_a_start_that_moves_asks_nothing_that_the_floor_cannot_give(self, go2, rng):
+        """Feet that start with 0.5 m/s: their contacts brake with at most 1 m/s^2, all push, nothing is refused."""
+        q = go2.keyframes["home"]
+        controller = Controller(go2, contacts_of(go2), tasks_of(go2, q), q=q)
+        weight = mass(controller.state) * 9.81
+        for up in (0.5, -0.5):
+            v = np.zeros(18)
+            v[2] = up  # all feet leave the floor, or meet it
+            out, state = first_tick(controller, q, v)
+            assert out.status in (Status.OK, Status.LIMITED), out.reason
+            for held in state.contacts.values():
+                at = held.G @ out.vdot + held.A @ state.frame(held.frame).drift
+                np.testing.assert_allclose(at[2], -np.sign(up) * 1.0, atol=1e-6)
+            pushed = [-(state.frame(n).T.rotation @ F[3:])[2] for n, F in out.wrenches.items()]
+            assert min(pushed) > 0.0
+            assert max(pushed) < 0.6 * weight
+
+    def test_a_robot_that_is_dropped_comes_to_stand(self, go2):
+        q = go2.keyframes["home"].copy()
+        controller = Controller(go2, contacts_of(go2), tasks_of(go2, q), {"torque_rate": 2000.0}, q=q)
+        high = q.copy()
+        high[2] += 0.005
+        simulator = Simulator(go2, high, 1e-3)
+        controller.reset(high, np.zeros(18))
+        for _ in range(900):
+            seen = simulator.observe()
+            out = controller.step(seen.t, seen.q, seen.v)
+            assert out.status in (Status.OK, Status.LIMITED), out.reason
+            simulator.apply(out.tau)
+        assert np.abs(seen.v).max() < 0.02
+        for name in controller.phase.contacts:
+            true, asked = simulator.true_wrench(name), out.wrenches[name]
+            np.testing.assert_allclose(true, asked, atol=1e-2 * mass(controller.state) * 9.81)
+
+
+class TestTheLadder:
+    def controller(self, robot, rate=2000.0):
+        q = robot.keyframes["home"]
+        return Controller(robot, contacts_of(robot), tasks_of(robot, q), {"torque_rate": rate}, q=q)
+
+    def test_a_reset_starts_with_what_holds_the_weight(self, g1):
+        """Without a torque of the driver's it is the one that the first tick would need at rest."""
+        controller, q = self.controller(g1, None), g1.keyframes["home"]
+        controller.reset(q, np.zeros(35))
+        rest = controller.memory.tau
+        tasks = {name: task for name, task in tasks_of(g1, q).items() if name == "trunk"}
+        still = Controller(g1, contacts_of(g1), tasks, {"torque_rate": None}, q=q)
+        out, _ = first_tick(still, q, np.zeros(35))
+        np.testing.assert_allclose(rest, out.tau, atol=1e-6)
+
+    def test_torques_have_one_entry_a_motor(self, go2):
+        controller, q, v = self.controller(go2), go2.keyframes["home"], np.zeros(18)
+        with pytest.raises(StateError, match=r"tau: expected a float64 array of shape \(12,\)"):
+            controller.reset(q, v, tau=np.zeros(18))
+        controller.reset(q, v, tau=np.full(12, 0.5))
+        out = controller.step(0.0, q, v, tau_applied=np.full(12, 0.5))
+        assert out.tau.shape == (12,)
+        assert out.vdot.shape == (18,)
+        assert np.abs(out.tau - 0.5).max() <= 2.0 + 1e-9  # N m a tick
+        out = controller.step(1e-3, q, v, tau_applied=np.zeros(18))
+        assert "tau_applied: expected a float64 array of shape (12,)" in out.reason
+
+    def test_without_an_answer_it_holds_within_limits_and_rate(self, g1):
+        controller, q, v = self.controller(g1), g1.keyframes["home"], np.zeros(35)
+        controller.reset(q, v)
+        last = controller.step(0.0, q, v).tau
+        seen = []
+        for tick in range(1, 30):
+            bad = q.copy()
+            bad[3] = np.nan
+            out = controller.step(1e-3 * tick, bad, v)
+            seen.append(out.status)
+            assert out.tau.shape == (29,)
+            assert (np.abs(out.tau) <= g1.tau_max).all()
+            assert np.abs(out.tau - last).max() <= 2.0 + 1e-9
+            last = out.tau
+        assert seen[0] is Status.DEGRADED
+        assert seen[-1] is Status.SAFE_HOLD
+        # the safe hold carries the weight with the last wrenches: it is the torque of rest, but for the damping
+        controller.reset(q, v)
+        assert np.abs(last - controller.memory.tau).max() < 0.2 * np.abs(controller.memory.tau).max() + 1.0
+
+    def test_joint_limits_are_those_of_the_joints(self, go2):
+        """A knee pressed to its limit is kept by its own row, with its own name."""
+        controller, q = self.controller(go2), go2.keyframes["home"].copy()
+        q[9] = go2.q_max[2] - 1e-5
+        v = np.zeros(18)
+        v[8] = 0.5
+        controller.reset(q, v)
+        out = controller.step(0.0, q, v)
+        assert out.vdot[8] < 0.0 or "yield" in out.reason
+        assert any(name == "position[FL_calf_joint]" for name in out.active) or "yield" in out.reason
+
+    def test_the_book_has_no_law_for_it(self, go2):
+        state = go2.state(go2.keyframes["home"], np.zeros(18))
+        motion = MotionTask("base", lambda t: None, contact="FL_foot", law="book")
+        with pytest.raises(LawError, match="fixed base"):
+            WholeBodyProgram(place(go2, contacts_of(go2), {"move": motion}, {}), state)
+
+    def test_a_posture_that_nothing_is_left_for_is_dropped(self, go2):
+        from wbc.centroidal import WholeBodyPosture
+
+        q = go2.keyframes["home"]
+        tasks = tasks_of(go2, q) | {"posture": WholeBodyPosture(q, nu=12)}
+        controller = Controller(go2, contacts_of(go2), tasks, q=q)
+        assert "posture" not in controller.phase.tasks
+        assert controller.notes == ["posture: dropped, contacts and motion leave no null space of the 12 joints"]
+
+    def test_shares_name_contacts(self, go2):
+        tasks = {"share": DistributionTask({"FL_fot": 1.0})}
+        with pytest.raises(NameNotFound, match="did you mean 'FL_foot'"):
+            Controller(go2, contacts_of(go2), tasks, q=go2.keyframes["home"])
