@@ -122,6 +122,18 @@ def test_a_lower_level_moves_no_residual_above(rng):
             np.testing.assert_allclose(one, other, atol=1e-8)
 
 
+def test_multipliers_tell_the_hard_rows_that_bend_a_level():
+    n = 2
+    stack = np.concatenate((np.eye(n), [[1.0, 0.0], [0.0, 1.0]]))
+    big = np.full(n, np.inf)
+    problem = Problem(stack[:n], np.zeros(n), stack[n:], np.r_[-big, -1, -1], np.r_[big, 1, 1], 0, stack)
+    goal = np.array([3.0, 0.5])
+    solution, (left,) = solve(problem, [Level(np.eye(n), goal, goal)], make("daqp"))
+    np.testing.assert_allclose(solution.x, [1.0, 0.5], atol=1e-9)
+    np.testing.assert_allclose(left, [-2.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(solution.z, [0, 0, 2.0, 0], atol=1e-9)
+
+
 def test_weights_stand_within_a_level():
     problem, _ = hierarchy(0)
     n = problem.g.size

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .qp import UNCERTIFIED, Array, Certificate, Problem, Rows, Variables
 from .solver import TOLERANCE, Solution, Solver, answer
@@ -60,7 +61,7 @@ class _Free:
     """What is left of the problem: x = `x` + `Z` z, and the inequalities lo <= C x <= hi that still bind it."""
 
     def __init__(self, problem: Problem) -> None:
-        n, n_eq = problem.g.size, problem.n_eq
+        n, n_eq, self.rows = problem.g.size, problem.n_eq, problem.lo.size
         E, e = problem.C[:n_eq], problem.lo[n : n + n_eq]
         self.x = np.asarray(np.linalg.lstsq(E, e, rcond=None)[0] if n_eq else np.zeros(n), float)
         self.Z = null_space(E) if n_eq else np.eye(n)
@@ -72,6 +73,7 @@ class _Free:
         )
         bound = np.isfinite(lo) | np.isfinite(hi)
         self.C, self.lo, self.hi = C[bound], lo[bound], hi[bound]
+        self.place = np.concatenate((np.arange(n), np.arange(n + n_eq, problem.lo.size)))[bound]  # of hard rows
 
     def decide(self, rows: Array) -> None:
         """Keep what these rows make of x."""
@@ -84,11 +86,11 @@ class _Free:
         self.C = np.concatenate((self.C, A))
         self.lo, self.hi = np.concatenate((self.lo, np.minimum(lo, at))), np.concatenate((self.hi, np.maximum(hi, at)))
 
-    def inequalities(self) -> tuple[Array, Array, Array]:
-        """C Z and its bounds on z, without rows that z cannot move: rounding alone is left of them."""
+    def inequalities(self) -> tuple[NDArray[np.intp], Array, Array, Array]:
+        """Numbers of the rows that z moves, their C Z and its bounds on z: of the others rounding alone is left."""
         rows, at = self.C @ self.Z, self.C @ self.x
-        moves = np.linalg.norm(rows, axis=1) > RANK * np.linalg.norm(self.C, axis=1)
-        return rows[moves], (self.lo - at)[moves], (self.hi - at)[moves]
+        moves = np.flatnonzero(np.linalg.norm(rows, axis=1) > RANK * np.linalg.norm(self.C, axis=1))
+        return moves, rows[moves], (self.lo - at)[moves], (self.hi - at)[moves]
 
     def settle(self) -> None:
         """Let z = 0 be an answer exactly."""
@@ -113,9 +115,11 @@ def solve(
     """The lexicographic optimum over the hard rows of `problem`, and what is left of every level, (m,) each.
 
     The levels should end with one that decides everything. The certificate is the worst of all levels' own; a level
-    without a certified answer refuses the whole.
+    without a certified answer refuses the whole. The multipliers of the solution are the sums of all levels': not those
+    of one problem, but nonzero where a hard row bends any of them.
     """
     free, worst, left = _Free(problem), Certificate(0.0, 0.0, 0.0), list[Array]()
+    z = np.zeros(problem.lo.size)
     if not free.gap <= tolerance.primal:
         return _refused(f"hard equalities contradict one another by {free.gap:.1e}"), left
     for number, rows in enumerate(levels):
@@ -127,6 +131,7 @@ def solve(
             else:
                 return _refused(f"level {number + 1}: {solution.reason}"), left
             worst = Certificate(*map(max, worst, solution.certificate))
+            z += solution.z
             free.x = free.x + free.Z @ solution.x[: free.Z.shape[1]]
         at = rows.A @ free.x
         off = np.where(at > rows.hi, at - rows.hi, np.where(at < rows.lo, at - rows.lo, 0.0))
@@ -135,7 +140,7 @@ def solve(
         free.settle()
         free.bind(rows.A[~decided], rows.lo[~decided], rows.hi[~decided])
         free.decide(rows.A[decided])
-    return Solution(free.x, np.zeros(problem.lo.size), worst, True), left
+    return Solution(free.x, z, worst, True), left
 
 
 def _refused(reason: str) -> Solution:
@@ -157,11 +162,11 @@ def _optimum(free: _Free, rows: Level, pull: float, solver: Solver, tolerance: C
     H[d:, d:] = np.eye(soft.size)
     pull *= max(float(H.diagonal().max(initial=0.0)), 1e-12)
     H[np.arange(d), np.arange(d)] += pull
-    binding, least, most = free.inequalities()
-    m = len(binding)
+    moves, binding, least, most = free.inequalities()
+    m, total = len(binding), np.zeros(free.rows)
     if not m + soft.size:
         z = np.asarray(np.linalg.lstsq(B, r, rcond=None)[0], float)
-        return Solution(z, np.zeros(0), Certificate(0.0, 0.0, 0.0), True)
+        return Solution(z, total, Certificate(0.0, 0.0, 0.0), True)
     C = np.zeros((m + soft.size, size))
     C[:m, :d], C[m:, :d], C[m:, d:] = binding, B[soft], -np.eye(soft.size)
     own, unbound = rows.A[soft] @ free.x, np.full(size, np.inf)
@@ -179,4 +184,6 @@ def _optimum(free: _Free, rows: Level, pull: float, solver: Solver, tolerance: C
         z = np.array(solution.x, float)
         if not np.abs(moved).max(initial=0.0) > SETTLED * (1.0 + np.abs(r[hard]).max(initial=0.0)):
             break
-    return solution._replace(x=z)
+    known = moves < free.place.size  # the others are of the levels above
+    total[free.place[moves[known]]] = solution.z[size : size + m][known]
+    return solution._replace(x=z, z=total)
