@@ -196,13 +196,16 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
     yield "torque", (phase.torque.low, phase.torque.high, phase.torque.rate)
     if phase.joint is not None:
         for share in (0.0, 0.5, 0.9, 0.999):
-            yield f"viable {share}", phase.joint.viable_speed(built.q + share * (built.robot.q_max - built.q))
+            q = built.q.copy()
+            q[-built.robot.nu :] += share * (built.robot.q_max - q[-built.robot.nu :])
+            yield f"viable {share}", phase.joint.viable_speed(q)
     for name, contact in phase.contacts.items():
         yield f"{name}.A", contact.A(state)
         yield f"{name}.axes", contact.axes
         if (pushes := contact.pushes) is not None:
             yield f"{name}.cone", contact.hold(state).cone.rows
             yield f"{name}.push", (*pushes.d, pushes.least, pushes.mu, pushes.slip, pushes.modelled)
+        yield f"{name}.settling", contact.settling or ()
         yield f"{name}.frame", state.frame(contact.frame).T.homogeneous
     for name, task in phase.tasks.items():
         yield f"{name}.weight", phase.weights[name]
@@ -218,6 +221,11 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
             yield f"{name}.integral_limit", task.integral_limit
             for t in TIMES:
                 yield f"{name}({t})", task.target(t)
+        if hasattr(task, "path"):
+            for t in TIMES:
+                yield f"{name}({t})", task.path(t).T.homogeneous
+        if hasattr(task, "shares"):
+            yield f"{name}.shares", sorted(task.shares.items())
         if hasattr(task, "q"):
             yield f"{name}.q", task.q
 

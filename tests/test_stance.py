@@ -6,15 +6,20 @@ import numpy as np
 import pytest
 from test_floating import DOWN, FREE, contacts_of, first_tick, tasks_of
 
+from wbc.build import build
 from wbc.centroidal import DistributionTask, mass
+from wbc.check import check
 from wbc.contact import Settling
 from wbc.controller import Controller, Status
 from wbc.errors import LawError, NameNotFound, StateError
 from wbc.foot import RoundFoot
 from wbc.friction import unilateral
 from wbc.phase import place
+from wbc.resources import shipped_folder
 from wbc.robot import Robot
+from wbc.run import run
 from wbc.sim import Simulator
+from wbc.spec import load
 from wbc.task import MotionTask
 from wbc.whole_body import WholeBodyProgram
 
@@ -210,3 +215,78 @@ class TestTheLadder:
         tasks = {"share": DistributionTask({"FL_fot": 1.0})}
         with pytest.raises(NameNotFound, match="did you mean 'FL_foot'"):
             Controller(go2, contacts_of(go2), tasks, q=go2.keyframes["home"])
+
+
+# --- figures, of runs from specs ---
+
+G1 = (shipped_folder("tasks") / "g1_stand.yaml").read_text()
+
+
+@pytest.fixture
+def ran(tmp_path):
+    """ran(text, (old, new), ...) -> the result of the run."""
+
+    def one(text, *changes):
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / "spec.yaml").write_text(text)
+        return run(build(load(tmp_path / "spec.yaml")))
+
+    return one
+
+
+class TestFigures:
+    def test_loaded_70_to_30_on_command_each_foot_carries_what_is_predicted(self, ran):
+        finished = ran(
+            G1,
+            (
+                "over: [left_foot, right_foot]}, kp: 40, kd: 12",
+                "over: {left_foot: 0.7, right_foot: 0.3}}, kp: 60, kd: 16",
+            ),
+            ("  posture:", "  share: {type: distribution, shares: {left_foot: 0.7, right_foot: 0.3}}\n  posture:"),
+            ("duration: 10", "duration: 3"),
+        )
+        figures, log = finished.summary["metrics"], finished.log
+        for foot in ("left_foot", "right_foot"):
+            assert figures[f"{foot}.rest.error"] <= 1e-4
+        assert figures["weight.rest.error"] <= 1e-6
+        left, right = (log[f"{foot}.true"][-1, 5] for foot in ("left_foot", "right_foot"))
+        assert left / (left + right) == pytest.approx(0.7, abs=1e-4)
+
+    def test_slip_is_seen(self, ran):
+        text = (shipped_folder("tasks") / "go2_stand.yaml").read_text()
+        slippery = (
+            "expect:",
+            "plant: {contact_friction: 0.02, pushes: {shove: {frame: base, wrench: {fy: 20}}}}\nexpect:",
+        )
+        finished = ran(text, slippery, ("duration: 10", "duration: 0.4"), ("settle: 1.0", "settle: 0.02"))
+        figures = finished.summary["metrics"]
+        assert figures["FL.slip"] > 1e-3
+        assert not finished.ok
+
+    def test_a_true_wrench_beyond_the_cone_is_seen(self, ran):
+        """What the controller believes, a low friction, is not what the floor gives when somebody pushes."""
+        text = (shipped_folder("tasks") / "go2_stand.yaml").read_text().replace("friction: 0.6", "friction: 0.05")
+        push = ("expect:", "plant: {pushes: {shove: {frame: base, wrench: {fy: 30}}}}\nexpect:")
+        finished = ran(text, push, ("duration: 10", "duration: 0.3"))
+        assert finished.summary["metrics"]["FL.cone.max_excess"] > 0.1
+        assert finished.summary["metrics"]["FL.cone.max_asked"] < 1e-6
+
+    def test_a_wrong_mass_shows_in_the_centre_and_the_weight(self, ran):
+        finished = ran(G1, ("expect:", "plant: {mass_error: 0.05}\nexpect:"), ("duration: 10", "duration: 2"))
+        figures = finished.summary["metrics"]
+        assert figures["balance.position.rms_error"] > 1e-3
+        assert figures["left_foot.cone.max_asked"] < 1e-6
+
+    def test_a_start_that_cannot_be_held_is_told(self, tmp_path):
+        (tmp_path / "spec.yaml").write_text(G1.replace("limits: {torque: model", "limits: {torque: 1"))
+        report = check(load(tmp_path / "spec.yaml"))
+        assert not report.feasible
+        assert report.reason
+
+    def test_verify_says_that_there_is_no_closed_form(self):
+        from wbc.verify import verify
+
+        with pytest.raises(LawError, match="expected a fixed base"):
+            verify(load("go2_stand"))

@@ -31,6 +31,7 @@ from .log import Log
 from .observer import errors as observer_errors
 from .qp import Array
 from .task import ForceTask, MotionTask
+from .wrench import VELOCITY_AXES
 
 Complex = NDArray[np.complex128]
 FIT = ("mass_error", "damping_error", "stiffness_error")
@@ -236,7 +237,7 @@ def compliance(log: Log, name: str, task: MotionTask) -> tuple[float, float] | N
         i = ("mx", "my", "mz", "fx", "fy", "fz").index(axis)
         end = min(push["to"] or math.inf, log["t"][-1] + log.meta["dt"])
         last = (log["t"] >= end - 0.1 * (end - push["from"])) & (log["t"] < end)
-        if last.any() and task.Kp[i, i] > 0:
+        if last.any() and task.Kp[i, i] > 0 and VELOCITY_AXES[i] in task.axes:
             dx = -log[f"{name}.error"][last, i].mean()
             Lam = 1 / log[f"{label}.mobility"][last, i, i].mean()
             return float(dx / f), float(motion_compliance(task.Kp[i, i], Lam))

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from .build import Built, build
 from .controller import Controller, Memory, Phase, Status
-from .errors import SpecError
+from .errors import LawError, SpecError
 from .faults import Faults, Place
 from .impedance import Compliance, Felt
 from .limit import TorqueLimit
@@ -109,6 +109,10 @@ def verify(
             del certificate.laws[law]
             certificate.left_out[law] = "; ".join(fault.message for fault in error.faults)
             continue
+        if built.robot.base:
+            raise LawError(
+                f"{spec.robot} has a floating base, of which the chapter has no closed form; expected a fixed base"
+            )
         _require_closed_form(built)
         told = None if progress is None else partial(_after, progress, 1000 * i)
         Oracle(built, law, certificate, solver).run(
