@@ -564,7 +564,7 @@ WRONG: dict[str, tuple[str | list[tuple[str, str]], str, str]] = {
             ),
         ],
         "7:1: law",
-        "law: book is for one contact and one motion task",
+        "law: the book's is for one contact and one motion task",
     ),
 }
 

@@ -6,9 +6,10 @@ from functools import lru_cache
 
 import bars
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from wbc import analytic
+from wbc import analytic, quantity
 from wbc.build import build
 from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
 from wbc.controller import Controller, Memory, Status
@@ -17,6 +18,7 @@ from wbc.errors import SpecError, WrenchError
 from wbc.friction import unilateral
 from wbc.oracle import Dynamics, closed_form, relative
 from wbc.reference import Path, hold, sine
+from wbc.resources import shipped_folder
 from wbc.run import run
 from wbc.spec import load
 from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
@@ -78,6 +80,34 @@ class TestUnilateral:
                 faces = analytic.inner_cone(0.5, 6) @ [f[0], f[1], -f[2]]
                 np.testing.assert_allclose(held.cone.rows[1:] @ lam, -faces, atol=1e-12)
             np.testing.assert_array_equal(held.cone.least, [2.0, *np.zeros(6)])
+
+    @pytest.mark.parametrize(
+        ("contact", "directions"),
+        [
+            (AxesContact("eraser", ("vx", "vy", "vz")), lambda R: R[:, :2].T),
+            (AxesContact("eraser", ("vy", "vz")), lambda R: R[:, 1:2].T),
+            (WorldAxesContact("eraser", ("vx", "vz"), TURN), lambda R: TURN[:, :1].T),
+        ],
+        ids=["both ways", "one way", "the world's way"],
+    )
+    def test_a_slip_is_the_speed_along_what_it_holds(self, panda, draw, contact, directions):
+        """Against the frame's places a moment before and after."""
+        read, dt = quantity.slip(pushing(contact, panda, mu=0.5)), 1e-6
+        for _ in range(5):
+            state = draw(panda)
+            there, here = (
+                panda.state(pin.integrate(panda.model, state.q, s * dt * state.v), state.v)
+                .frame("eraser")
+                .T.translation
+                for s in (0.5, -0.5)
+            )
+            R = state.frame("eraser").T.rotation
+            assert read(state) == pytest.approx(np.linalg.norm(directions(R) @ (there - here)) / dt, rel=1e-6)
+
+    def test_without_friction_that_holds_nothing_slips(self, panda):
+        assert quantity.slip(AxesContact("eraser", ("vx", "vy", "vz"))) is None
+        assert quantity.slip(pushing(AxesContact("eraser", ("vx", "vy", "vz")), panda)) is None
+        assert quantity.slip(pushing(AxesContact("eraser", ("vz",)), panda, mu=0.5)) is None
 
     def test_on_a_sphere_z_is_the_normal(self, panda, draw):
         contact = SphereContact("eraser", np.array([0.2, 0.3, 0.3]))
@@ -323,6 +353,15 @@ class TestEraser:
         figures = result("eraser_friction", *free).summary["metrics"]
         assert figures["draw.position.rms_error"] >= bars.UNCOMPENSATED
         assert figures["board.corners"] < bars.CORNERS
+
+
+def test_the_drag_follows_what_moves_the_contact_in_its_phase(tmp_path):
+    text = (shipped_folder("tasks") / "chalk_slide.yaml").read_text()
+    phases = "phases:\n  write: {until: {time: 1}}\n  rest: {tasks: [press, posture]}\nlimits:"
+    (tmp_path / "phases.yaml").write_text(text.replace("limits:", phases))
+    write, rest = build(load(tmp_path / "phases.yaml")).phases
+    assert write.contacts["board"].pushes.guide == write.tasks["draw"].desired
+    assert rest.contacts["board"].pushes.guide is None
 
 
 def test_a_run_beyond_what_the_surface_is_for_is_told_so():

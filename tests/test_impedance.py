@@ -10,12 +10,16 @@ import yaml
 
 from wbc import analytic
 from wbc.build import build
+from wbc.contact import AxesContact
 from wbc.controller import Controller, Status
 from wbc.errors import GainError, SpecError
 from wbc.free_motion import free_matrix, radius, stable_range
 from wbc.impedance import AdmittanceTask, ImpedanceTask
+from wbc.observer import MomentumObserver
 from wbc.reference import Sample, hold
+from wbc.resources import shipped_folder
 from wbc.robot import Robot
+from wbc.run import run
 from wbc.sim import Simulator
 from wbc.spec import Spec, load
 from wbc.task import MotionTask, PostureTask, pose_errors
@@ -118,21 +122,24 @@ class TestAgainstTheBook:
 
 
 @pytest.mark.parametrize(
-    "more",
+    ("place", "feedforward", "more"),
     [
-        "",
-        ", error: split",
-        ", external: acceleration",
-        ", external: observer, filter: 50",
-        ", filter: 30",
+        ("contact: board", "none", ""),
+        ("contact: board", "none", ", error: split"),
+        ("contact: board", "none", ", external: acceleration"),
+        ("contact: board", "none", ", external: observer, filter: 50"),
+        ("contact: board", "none", ", filter: 30"),
+        ("frame: eraser, axes: [wz, vx, vy]", "none", ""),
+        ("frame: wrist_sensor, axes: [wz, vx, vy]", "measured", ""),
     ],
 )
-def test_beside_a_force_and_under_contact_the_closed_form_holds(more):
-    text = f"{{type: impedance, contact: board, M: [0.1, 2, 2], B: [2, 40, 40], K: 30{more}}}"
+def test_beside_a_force_and_under_contact_the_closed_form_holds(place, feedforward, more):
+    text = f"{{type: impedance, {place}, M: [0.1, 2, 2], B: [2, 40, 40], K: 30{more}}}"
     spec = load("eraser", ["duration=0.02"])
     tree = spec.model_dump(by_alias=True, exclude_unset=True)
     tree["tasks"]["draw"] = yaml.safe_load(text)
     tree["expect"] = {}
+    tree["contacts"]["board"]["feedforward"] = feedforward
     certificate = verify(Spec.model_validate(tree), states=40)
     assert certificate.states > 25
     assert max(law.max_tau_error for law in certificate.laws.values()) < bars.TAU_ERROR["daqp"]
@@ -156,6 +163,116 @@ def test_tasks_at_one_frame_count_a_push_once(handled):
         made.reset(q, v)
         answers.append(made.step(0.0, q, v, measured=dict.fromkeys(tasks, push)).tau)
     np.testing.assert_allclose(*answers, atol=1e-9)
+
+
+@pytest.mark.parametrize("feedforward", ["none", "measured"])
+@pytest.mark.parametrize(
+    "tasks",
+    [
+        {"feel": ("eraser", ("vx", "vy", "wz"), True)},
+        {"feel": ("eraser", ("vx", "vy", "wz"), False)},
+        {"feel": ("wrist_sensor", ("vx", "vy"), False)},
+        {"x": ("eraser", ("vx",), False), "y": ("wrist_sensor", ("vy",), False)},
+        {"x": ("eraser", ("vx", "vy", "wz"), True), "y": ("eraser", ("wz",), False)},
+    ],
+    ids=["on the contact", "at its frame", "at another frame", "at both", "on it and at its frame"],
+)
+def test_one_wrench_on_one_link_counts_once(panda, draw, rng, tasks, feedforward):
+    """Whoever is told of it: an arm under that wrench then moves as the tasks ask, and presses as predicted."""
+    state = draw(panda)
+    F, q = np.r_[rng.normal(size=3), 8.0 * rng.normal(size=3)], panda.keyframes["home"]
+    board = AxesContact("eraser", ("wx", "wy", "vz"))
+    board.feedforward = feedforward
+    made = {}
+    for name, (frame, axes, on) in tasks.items():
+        target = hold(panda.state(q, np.zeros(7)).frame(frame).T)
+        axes = board.free_axes if on else axes
+        made[name] = ImpedanceTask(frame, target, 2, 40, 200, axes=axes, contact="board" if on else None)
+    controller = Controller(panda, {"board": board}, made | {"posture": PostureTask(q)}, NO_LIMITS)
+    controller.reset(state.q, state.v)
+    given = dict.fromkeys(controller.phase.feeling, Wrench(F, "eraser"))
+    out = controller.step(0.0, state.q, state.v, measured=given)
+    J, held = state.frame("eraser").J, board.hold(state)
+    free = np.r_[0.0, 0.0, F[2], F[3], F[4], 0.0]  # what the board does not cause, for it leaves wz, vx, vy free
+    kkt = np.block([[state.M, held.G.T], [held.G, np.zeros((3, 3))]])
+    vdot, lam = np.split(np.linalg.solve(kkt, np.r_[out.tau - state.h - J.T @ free, held.rhs]), [7])
+    np.testing.assert_allclose(vdot, out.vdot, atol=1e-8)
+    np.testing.assert_allclose(held.A.T @ lam, out.wrenches["board"], atol=1e-7)
+    if len(tasks) == 1:  # and it has the mass that was asked for
+        (task,) = made.values()
+        frame, S = state.frame(task.frame), board.free(state) if task.contact else task.selection(state)
+        X_e, V_e, _ = task.errors(frame.T, frame.V, task.desired(state))
+        f_ext = -S @ Wrench(F, "eraser").at(state, task.frame)
+        asked = (40.0 * S @ V_e + 200.0 * S @ X_e + f_ext) / 2.0
+        np.testing.assert_allclose(S @ (frame.J @ vdot + frame.drift), asked, rtol=1e-7)
+
+
+def test_an_observer_and_the_sensor_count_a_push_once(handled):
+    q, v = handled.keyframes["home"], np.zeros(7)
+    T = handled.state(q, v).frame("tip").T
+    observer = MomentumObserver(handled, 30.0)
+    feel = ImpedanceTask("tip", hold(T), 2, 40, 200, axes=("vx",))
+    watch = ImpedanceTask("handle_body", hold(T), 2, 40, 200, axes=("vy",), source="observer", observer=observer)
+    push, posture = Wrench(np.array([0.1, 0.2, 0.0, 3.0, -2.0, 5.0]), "tip"), PostureTask(q)
+    made = Controller(handled, tasks={"feel": feel, "watch": watch, "posture": posture})
+    made.reset(q, v)
+    made.step(0.0, q, v, measured={"feel": push})
+    made.step(0.001, q, v + 0.01, measured={"feel": push})  # now there is a residual
+    assert np.abs(made.memory.felt["watch"].F).max() > 1.0
+    state = made.state
+    np.testing.assert_allclose(state.bias, state.h + state.frame("tip").J.T @ push.F)
+
+
+ELBOW = "tasks:\n  elbow: {type: impedance, frame: link4, axes: [vy], M: 3, B: 60, K: 300, external: "
+SEEN, READ = ELBOW + "observer, filter: 30}\n", ELBOW + "measured}\n"
+
+
+@pytest.mark.parametrize(
+    ("spec", "changes", "place", "message"),
+    [
+        (
+            "impedance", {"tasks:\n": SEEN}, "tasks.elbow.external",
+            "an observer feels all that acts on the arm, so what task 'feel' feels on another link as well; expected",
+        ),
+        (
+            "chalk", {"tasks:\n": SEEN}, "tasks.elbow.external",
+            "so contact 'board' on another link as well; expected measured, or all on one link",
+        ),
+        (
+            "chalk",
+            {
+                "    frame: chalk\n": "    frame: chalk\n    feedforward: measured\n",
+                "tasks:\n": "  side: {frame: wrist_sensor, holds: [wz]}\ntasks:\n",
+            },
+            "contacts.board.feedforward", "also that of contact 'side', on the same link; expected none or modelled",
+        ),
+    ],
+    ids=["two tasks", "a contact elsewhere", "two contacts"],
+)  # fmt: skip
+def test_wrenches_that_nothing_tells_apart_are_refused(tmp_path, spec, changes, place, message):
+    text = (shipped_folder("tasks") / f"{spec}.yaml").read_text()
+    for old, new in changes.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    (fault,) = refused(tmp_path, text)
+    assert fault[2] == place
+    assert message in fault[3]
+
+
+def test_the_wrist_sensor_reads_nothing_of_the_elbow(tmp_path):
+    file = tmp_path / "elbow.yaml"
+    text = (shipped_folder("tasks") / "impedance.yaml").read_text()
+    for old, new in (("tasks:\n", READ), ("duration: 8", "duration: 1"), ("frame: tip\n", "frame: link5\n")):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    file.write_text(text)
+    finished = run(build(load(file)))
+    said = "elbow: nothing is measured there, for the wrist sensor does not read what acts on link4"
+    assert said in finished.summary["notes"]
+    assert not finished.log["elbow.felt"].any()
+    assert not [
+        note for note in run(build(load("impedance", ["duration=0.01"]))).summary["notes"] if "measured" in note
+    ]
 
 
 # --- pose errors ---

@@ -175,6 +175,69 @@ class TestWaysOut:
         assert result.summary["metrics"]["board.lost"] > 50
 
 
+SLIP = """
+robot: panda
+tool: chalk
+scene: grip_board
+duration: 1.6
+references:
+  askew: {profile: {values: [0, 5.5], times: [0, 1.2]}}
+contacts:
+  board:
+    frame: chalk
+    natural:    {mx: 0, my: 0, mz: 0, vx: 0, vy: 0, vz: 0}
+    artificial: {wx: 0, wy: 0, wz: 0, fx: askew, fy: 0, fz: -10}
+    pushes: -z
+    friction: 0.6
+tasks:
+  press:   {type: force, contact: board, kp: 0.3, ki: 10, damping: 500, filter: 200}
+  upright: {type: motion, contact: board, kp: 100, kd: 20}
+  posture: {type: posture, target: start, kp: 50, kd: 10}
+phases:
+  hold:   {until: {board.slip: {min: 0.001, for: 0.003}}, timeout: 1.5, else: held}
+  harder: {set: {contacts.board.artificial.fz: -20}}
+  held:   {}
+limits: {torque: model, torque_rate: 1000, position: model, velocity: model}
+"""
+
+
+class TestSlip:
+    """The plant knows 0.4 where the controller counts on 0.6; 4 N of friction are all that 10 N give."""
+
+    def slipping(self, tmp_path, *overrides):
+        """The run, and the true speed across the push at every tick."""
+        path, speed = tmp_path / "slip.yaml", []
+        path.write_text(SLIP)
+
+        def watch(simulator):
+            T, V = simulator.true_motion("chalk")
+            speed.append(np.linalg.norm((T.rotation @ V[3:])[:2]))
+
+        return run(build(load(path, overrides)), show=watch), np.array(speed)
+
+    @pytest.mark.parametrize("noise", [0.0, 2e-4])
+    def test_it_ends_the_phase_when_the_point_truly_slips(self, tmp_path, noise):
+        result, speed = self.slipping(tmp_path, "plant.contact_friction=0.4", f"plant.noise.velocity={noise}")
+        assert told(result) == ["hold", "harder"]
+        assert "board.slip = " in result.summary["phases"][1]["why"]
+        begin = change(result)
+        first = 100 + int(np.argmax(speed[100:] >= 0.001))  # where it is set down it slides for 2 ms
+        late = begin - first - 3  # ticks, beyond the 3 ms that were asked for
+        assert late == 0 if not noise else -2 <= late <= 5
+        force = np.abs(result.log["board.true"][first, 3:])
+        assert force[0] / force[2] == pytest.approx(0.4, rel=0.01)
+        # pressed harder it holds again
+        assert result.log["board.true"][-1, 5] == pytest.approx(-20.0, abs=0.2)
+        assert speed[-100:].max() < 1e-5
+
+    def test_where_nothing_slips_nothing_is_told(self, tmp_path):
+        result, speed = self.slipping(tmp_path)
+        assert told(result) == ["hold", "held"]
+        assert "timeout" in result.summary["phases"][1]["why"]
+        assert speed.max() < 1e-5
+        assert result.log["board.true"][1400, 3] > 5.0  # it was asked to
+
+
 class TestNothingJumps:
     def test_the_torque_keeps_its_rate_at_every_change(self, touch):
         result, _ = touch()
@@ -318,6 +381,32 @@ def test_measured_wrenches_and_targets_of_contacts_that_come_later_are_taken(fil
     assert made.memory.targets == {"board.fz": -7.0}
     out = made.step(0.012, made.start, np.zeros(7), measured={"bord": given["board"]})
     assert "no contact named 'bord'; did you mean 'board'?" in out.reason
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("    friction: 0.6\n", "", "contact 'board' has no friction that could give way; expected `friction` in it"),
+        ("    pushes: -z\n    friction: 0.6\n", "", "expected `pushes` and `friction` in it"),
+        (
+            "{mx: 0, my: 0, mz: 0, vx: 0, vy: 0, vz: 0}\n    artificial: {wx: 0, wy: 0, wz: 0, fx: askew, fy: 0,",
+            "{mx: 0, my: 0, mz: 0, fx: 0, fy: 0, vz: 0}\n    artificial: {wx: 0, wy: 0, wz: 0, vx: askew, vy: 0,",
+            "contact 'board' slides across its push by design; expected one that holds the frame there, or TASK.speed",
+        ),
+        ("  hold:   {until", "  hold:   {contacts: [], tasks: [posture], until", "'board' is not active in this phase"),
+    ],
+    ids=["no friction", "no push", "it slides", "not active"],
+)
+def test_a_slip_that_cannot_be_is_told_with_its_place(tmp_path, old, new, said):
+    assert SLIP.count(old) == 1
+    text = SLIP.replace(old, new)
+    (tmp_path / "wrong.yaml").write_text(text)
+    with pytest.raises(SpecError) as caught:
+        build(load(tmp_path / "wrong.yaml"))
+    (fault,) = caught.value.faults
+    assert fault.key == "phases.hold.until.board.slip"
+    assert "board.slip" in text.splitlines()[fault.line - 1]
+    assert said in fault.message
 
 
 def test_a_way_to_a_phase_that_does_not_exist_is_refused():

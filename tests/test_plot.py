@@ -232,6 +232,23 @@ def test_what_a_run_lacks_leaves_its_place_to_the_others():
     assert axes["torques"].get_position().width > 1.5 * full["torques"].get_position().width
 
 
+def test_a_push_stands_above_the_way_that_is_given_to_it():
+    quantities = {"external": np.array([4.0, 0.1]), "displacement": np.array([0.02, 0.3])}
+    more = {f"feel.{name}": lambda i, value=value: value for name, value in quantities.items()}
+    more["upright.error"] = lambda i: np.array([2e-3, 0, 0, 0, 0, 0])
+    log = make_log(contacts={}, motions=("feel", "upright"), **more)
+    log.meta["pushed"] = {"feel": ["vx", "wz"]}
+    found = panels(figure(log, make_summary(log)))
+    push, way = found["feel pushed by [N]"], found["feel gives way [mm]"]
+    assert labels(push) == ["x"]  # a moment has no place beside it
+    assert push.lines[0].get_ydata()[0] == 4.0
+    assert way.lines[0].get_ydata()[0] == 20.0
+    assert labels(found["path"]) == ["desired", "actual"]  # what only turns has no path
+    told = labels(found["tracking"])
+    assert told[0].startswith("feel gives way: rms")
+    assert not [text for text in told if text.startswith("upright.position")]
+
+
 def test_torques_are_shares_of_limits_that_change_with_the_phase():
     weak = make_log(tau_max=lambda i: np.full(7, 25.0 if i >= 100 else 50.0), tau_min=lambda i: np.full(7, -100.0))
     ax = panels(figure(weak, make_summary(weak)))["torques"]

@@ -13,6 +13,8 @@ import wbc.task
 from tests.bars import KEPT_STATES, TAU_ERROR, TAU_ERROR_MUJOCO
 from wbc import cli
 from wbc.contact import Contact, Held
+from wbc.errors import SpecError
+from wbc.resources import shipped_names
 from wbc.robot import State
 from wbc.spec import Spec, load
 from wbc.task import ForceTask, PostureTask
@@ -82,6 +84,66 @@ def test_other_arm_solver_and_gains(name, solver, changes):
     found = verify(short(name, 0.02, *changes), solver, states=20)
     assert found.ok, found
     assert found.tolerance == TAU_ERROR[solver]
+
+
+@pytest.mark.parametrize("solver", ["daqp", "proxqp"])
+ELSEWHERE = ("eraser", "planar", "go2_stand", "g1_stand")  # tested above; with a floating base, in test_floating
+
+
+@pytest.mark.parametrize("name", [name for name in shipped_names("tasks", ".yaml") if name not in ELSEWHERE])
+def test_every_spec_has_its_closed_form(name, solver):
+    found = verify(short(name, 0.008), solver, states=12)
+    assert found.ok, found
+    assert found.states >= 9
+    assert found.ticks == 8
+    assert not found.left_out
+    assert min(law.max_tau_error for law in found.laws.values()) > 0
+
+
+def written(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+    """The spec below, changed."""
+    text, file = ELBOW, tmp_path / "changed.yaml"
+    for old, new in changes:
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    file.write_text(text)
+    return file
+
+
+def test_a_law_that_is_not_defined_for_a_spec_is_left_out_and_said(tmp_path, capsys):
+    motion = "  draw:    {type: motion, contact: board, kp: 100, kd: 20}\n  posture:"
+    file = written(tmp_path, ("vx]", "vz]"), ("  posture:", motion))
+    found = verify(short(file), states=20)
+    assert found.ok, found
+    assert set(found.laws) == {"compensated"}
+    assert "one contact and one motion task on it; there are 1 contacts and 2" in found.left_out["book"]
+    assert found.as_json()["left_out"] == found.left_out
+    cli._tell_verify(found)
+    assert "law book left out: the book's is for one contact" in " ".join(capsys.readouterr().out.split())
+    with pytest.raises(SpecError, match="law: the book's is for one contact"):
+        verify(short(file, 0.02, "law=book"), states=20)
+
+
+def test_what_has_no_closed_form_is_told_with_its_place(tmp_path):
+    twice = "  twice:   {type: motion, frame: link4, target: stay, axes: [vx, vy], kp: 50, kd: 10}\n  posture:"
+    file = written(tmp_path, ("  posture:", twice))
+    with pytest.raises(SpecError) as caught:
+        verify(short(file), states=20)
+    (fault,) = caught.value.faults
+    assert (fault.key, "twice:" in file.read_text().splitlines()[fault.line - 1]) == ("tasks.twice", True)
+    assert "no closed form tells; expected axes of its own" in fault.message
+
+
+def test_several_postures_are_one_at_the_mean_of_their_weights(tmp_path):
+    more = "  rest: {type: posture, target: home, kp: 5, kd: 3, weight: 3}\n  posture:"
+    found = verify(short(written(tmp_path, ("  posture:", more))), states=20)
+    assert found.ok, found
+
+
+def test_a_posture_alone_has_a_closed_form(tmp_path):
+    file = tmp_path / "alone.yaml"
+    file.write_text("robot: panda\ntasks:\n  posture: {type: posture, target: start, kp: 50, kd: 10}\n")
+    assert verify(short(file), states=5).ok
 
 
 ELBOW = """

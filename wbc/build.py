@@ -21,6 +21,7 @@ from .dynamics import mobility
 from .errors import did_you_mean
 from .exits import exit_of
 from .faults import Faults
+from .feeling import check_felt
 from .free_motion import STABLE, MassRange, following_radius, mass_range
 from .geometry import Geometry, components
 from .impedance import AdmittanceTask, Compliance
@@ -192,10 +193,11 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
     if len(contacts) < len(geometry.spec.contacts):
         geometry.faults.check()
     tasks = Tracking(geometry, contacts, references).tasks(q)
+    check_felt(geometry, contacts, tasks)
     weights = {task: geometry.spec.tasks[task].weight for task in tasks}
     poles, margins, most = _stability(geometry, contacts, tasks, q)
     torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
-    exit_ = None if entry is None else exit_of(base, name, entry, follower, tasks, q)
+    exit_ = None if entry is None else exit_of(base, name, entry, follower, contacts, tasks, q)
     masses = _masses(geometry, contacts, tasks, q)
     return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins, most, masses)
 

@@ -314,6 +314,8 @@ def _tell_verify(certificate: Any) -> None:
     for law, worst in certificate.laws.items():
         table.add_row(law, *(f"{value:.1e}" for value in vars(worst).values()))
     console.print(table)
+    for law, why in certificate.left_out.items():
+        console.print(f"law {law} left out: {why}")
     states = f"{certificate.states} random states ({certificate.dropped} ill-conditioned ones dropped)"
     console.print(
         f"{certificate.ticks} ticks ({certificate.lifted} with an active limit lifted), {states}; "

@@ -18,7 +18,7 @@ from .errors import NameNotFound, StateError, did_you_mean
 from .handover import Start, hand_over
 from .impedance import NEW, Felt
 from .kernels import torque
-from .phase import Phase, Program, carry, hold, place, settle_posture
+from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State, Terms
 from .solver import DEFAULT, Solution, Solver, answer, make
@@ -320,19 +320,14 @@ class Controller:
         return refused
 
     def _feel(self, state: State, phase: Phase, memory: Memory, tau: Array) -> dict[str, Felt]:
-        """The pushes of this tick, by task; each counts once among the known loads."""
+        """The pushes of this tick, by task."""
         felt: dict[str, Felt] = {}
         if phase.gravity_only:
             state.bias = state.bias + (state.gravity() - state.h)
-        carried = set(phase.fed)
         for name, task in phase.compliant.items():
             at = task.contact or name
             felt[name] = state.felt[task] = task.feel(state, state.measured.get(at), tau, memory.felt.get(name, NEW))
-            F, place = felt[name].F, task.contact or task.frame
-            if F is None or not task.carries or place in carried:
-                continue
-            carried.add(place)  # tasks at one frame feel one wrench
-            state.carry(task.frame, F if task.contact is None else state.contacts[task.contact].unconstrained(F))
+        carry_felt(state, phase, felt)
         return felt
 
     def _retarget(self, state: State, targets: Mapping[str, float]) -> list[str]:

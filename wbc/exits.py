@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from . import quantity as quantities
 from . import spec as specs
+from .contact import Contact
 from .faults import Place
 from .geometry import Geometry
 from .qp import Array
@@ -16,15 +17,22 @@ from .wrench import WRENCH_AXES
 
 
 def exit_of(
-    base: Geometry, name: str, entry: specs.Phase, follower: str, tasks: Mapping[str, Task], q: Array
+    base: Geometry,
+    name: str,
+    entry: specs.Phase,
+    follower: str,
+    contacts: Mapping[str, Contact],
+    tasks: Mapping[str, Task],
+    q: Array,
 ) -> Exit | None:
-    """The ways out of a phase; None where there are none."""
+    """The ways out of a phase with its contacts and tasks; None where there are none."""
     conditions = entry.until.conditions if entry.until is not None else {}
     if not conditions and entry.timeout is None and entry.lost is None:
         return None
     until = []
     for quantity, bound in conditions.items():
-        read = None if quantity == "time" else _reading(base, ("phases", name, "until", quantity), quantity, tasks, q)
+        path = ("phases", name, "until", quantity)
+        read = None if quantity == "time" else _reading(base, path, quantity, contacts, tasks, q)
         low = -math.inf if bound.min is None else bound.min
         until.append(Condition(quantity, read, low, math.inf if bound.max is None else bound.max, bound.for_))
     pressing = [(task.contact, quantities.pressing(task)) for task in tasks.values() if isinstance(task, ForceTask)]
@@ -32,7 +40,9 @@ def exit_of(
     return Exit(tuple(until), follower, timeout, entry.else_ or STOP, entry.lost or "", tuple(pressing))
 
 
-def _reading(base: Geometry, path: Place, quantity: str, tasks: Mapping[str, Task], q: Array) -> Reading | None:
+def _reading(
+    base: Geometry, path: Place, quantity: str, contacts: Mapping[str, Contact], tasks: Mapping[str, Task], q: Array
+) -> Reading | None:
     """How a measured quantity is read; None where it cannot be."""
     subject, _, what = quantity.rpartition(".")
     if what in WRENCH_AXES:
@@ -44,6 +54,10 @@ def _reading(base: Geometry, path: Place, quantity: str, tasks: Mapping[str, Tas
             message = f"contact {subject!r} holds {held}; expected one that `pushes`, or holds one of vx, vy, vz alone"
             base.faults.add(path, message)
         return read
+    if what == "slip" and subject in contacts:
+        if (read := quantities.slip(contacts[subject])) is None:
+            base.faults.add(path, _no_slip(subject, contacts[subject]))
+        return read
     task = tasks.get(subject)
     if not isinstance(task, MotionTask):
         return None  # at fault already
@@ -52,3 +66,11 @@ def _reading(base: Geometry, path: Place, quantity: str, tasks: Mapping[str, Tas
             path, f"the reference of {subject!r} never ends; expected one that does, or another end: `time`"
         )
     return {"done": quantities.done, "error": quantities.error, "speed": quantities.speed}[what](task)
+
+
+def _no_slip(name: str, contact: Contact) -> str:
+    """Why a contact cannot slip."""
+    if contact.pushes is None or not contact.pushes.mu:
+        lacks = "`pushes` and `friction`" if contact.pushes is None else "`friction`"
+        return f"contact {name!r} has no friction that could give way; expected {lacks} in it"
+    return f"contact {name!r} slides across its push by design; expected one that holds the frame there, or TASK.speed"

@@ -59,7 +59,8 @@ class Unilateral:
     `held` (m, 3): directions across d in which the contact holds a force (m = 2: it sticks); `slides` (2 - m, 3): those
     in which it moves. `least` [N]: the smallest push. `faces`: of the cone of what is held; 4 lose up to 29 % of the
     friction, 8 up to 7.6 %. Below the speed `slip` [m/s] the drag of what slides follows the desired velocity, that of
-    `guide`. `place` (3, 3): axes, in the world, of what it closes on. `modelled`: whether the drag is in the model.
+    `guide`, which the motion task on the contact sets. `place` (3, 3): axes, in the world, of what it closes on.
+    `modelled`: whether the drag is in the model. `unilateral` makes one.
     """
 
     def __init__(
@@ -67,16 +68,16 @@ class Unilateral:
         d: Array,
         held: Array,
         slides: Array,
-        least: float = 0.0,
-        mu: float = 0.0,
-        faces: int = FACES,
-        slip: float = SLIP,
-        guide: Guide | None = None,
-        place: Array | None = None,
+        least: float,
+        mu: float,
+        faces: int,
+        slip: float,
+        place: Array | None,
     ) -> None:
         self.d, self.held, self.slides = d, held, slides
-        self.least, self.mu, self.slip, self.guide = least, mu, slip, guide
-        self.modelled, self.place = False, place
+        self.least, self.mu, self.slip, self.place = least, mu, slip, place
+        self.guide: Guide | None = None
+        self.modelled = False
         cone = inner_cone(mu, 2 if len(held) == 1 else faces) if mu and len(held) else np.zeros((0, 3))
         self._sides, self._share = cone[:, : len(held)], -cone[:, 2]
         self._least = np.concatenate(([least], np.zeros(len(cone))))
@@ -88,14 +89,18 @@ class Unilateral:
         """Number of faces of the cone; 0 where nothing is held across the push."""
         return len(self._sides)
 
+    def turned(self, contact: Contact, state: State) -> tuple[Array, Array, Array]:
+        """`d`, `held` and `slides` in the axes of the frame."""
+        turn = contact.turn(state)
+        if turn is None:
+            return self.d, self.held, self.slides
+        return turn.dot(self.d), self.held.dot(turn.T), self.slides.dot(turn.T)
+
     def hold(
         self, contact: Contact, state: State, A: Array, G: Array, inverse: Array
     ) -> tuple[Array, Array, Cone | None]:
         """B' (k, 6), B' J (k, nv) and the cone of a contact at a tick, from A, A J and (A')^+."""
-        turn = contact.turn(state)
-        d, held, slides = self.d, self.held, self.slides
-        if turn is not None:
-            d, held, slides = turn.dot(d), held.dot(turn.T), slides.dot(turn.T)
+        d, held, slides = self.turned(contact, state)
         cone = None if self._lifted else self._cone(d, held, A, inverse)
         if not self.modelled:
             return A, G, cone
@@ -131,10 +136,9 @@ class Unilateral:
 
     def told(self, contact: Contact, state: State, F: Array) -> dict[str, Any]:
         """What a wrench (6,) means at a surface: push [N], drag (2,) and the slip (2,) [m/s] across it, tilt [rad]."""
-        frame, turn = state.frame(contact.frame), contact.turn(state)
-        d, across = self.d, np.concatenate((self.held, self.slides))
-        if turn is not None:
-            d, across = turn.dot(d), across.dot(turn.T)
+        frame = state.frame(contact.frame)
+        d, *rows = self.turned(contact, state)
+        across = np.concatenate(rows)
         told = {"push": d.dot(F[3:]), "drag": across.dot(F[3:]), "slip": across.dot(frame.V[3:])}
         if self.place is not None:
             n, body = self.place.dot(self.d), frame.T.rotation.dot(self.d)
@@ -157,10 +161,9 @@ def unilateral(
     mu: float = 0.0,
     faces: int = FACES,
     slip: float = SLIP,
-    guide: Guide | None = None,
     place: Array | None = None,
 ) -> Unilateral:
-    """What a contact that pushes along d holds and where it slides, told from its A at a state.
+    """What a contact that pushes along d holds and where it slides, told from its A at a state; parameters as there.
 
     Raises WrenchError when the contact holds no force along d, when friction is modelled of what does not slide, or
     when the friction is so high that it could not be solved for.
@@ -177,7 +180,7 @@ def unilateral(
     if rank == 1:  # one way it holds, the other way it slides
         across = basis.dot(across)
     held, slides = across[:rank], across[rank:]
-    made = Unilateral(d, held, slides, least, mu, faces, slip, guide, place)
+    made = Unilateral(d, held, slides, least, mu, faces, slip, place)
     if contact.feedforward == "modelled":
         made.modelled = True
         if not len(slides):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -57,7 +58,8 @@ class Geometry:
                 key = repr((name, motion, targets, q.tobytes()))
                 if key not in self.made:
                     self.made[key] = self._contact(name, entry, q)
-                contacts[name], paths[name] = self.made[key]
+                contact, paths[name] = self.made[key]
+                contacts[name] = copy.copy(contact)  # a phase's own: its drag follows what moves it in that phase
                 contacts[name].feedforward = entry.feedforward
                 rate = entry.settling if entry.settling is not None else SETTLING if self.robot.base else 0.0
                 contacts[name].settling = Settling(rate) if rate else None
@@ -234,7 +236,7 @@ class Geometry:
                 contact.pushes = unilateral(contact, state, d, push.least, place=place)
             else:
                 mu, faces, slip = friction.mu, friction.faces, friction.slip
-                contact.pushes = unilateral(contact, state, d, push.least, mu, faces, slip, None, place)
+                contact.pushes = unilateral(contact, state, d, push.least, mu, faces, slip, place)
 
     def _sphere(
         self, name: str, entry: specs.Contact, radius: float, origin: pin.SE3, on: str | None

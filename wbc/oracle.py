@@ -52,30 +52,34 @@ def closed_form(
     compliant = phase.compliant
     frames = [task.frame for task in motions] + [task.frame for task in compliant.values()]
     frames += [contact.frame for contact in phase.contacts.values()]
+    frames += [robot.frames[-1]]  # a posture alone has none
     known = np.zeros(robot.nv)
     for name in set(phase.fed) & set(given):
         contact = phase.contacts[name]
         known += dynamics(contact.frame).J.T @ _known(contact, state, given[name].F)
     felt = {name: _felt(task, name, state, memory, given) for name, task in compliant.items()}
-    carried = set(phase.fed)
+    counted = [phase.contacts[name].frame for name in set(phase.fed) & set(given)]
     for name, task in compliant.items():
-        F, place = felt[name].F, task.contact or task.frame
-        if F is not None and task.carries and place not in carried:
-            carried.add(place)
-            A = np.zeros((0, 6)) if task.contact is None else phase.contacts[task.contact].A(state)
-            known += dynamics(task.frame).J.T @ analytic.wrench_residual(A, F)
+        F = felt[name].F
+        if F is None or not task.carries or any(_one_link(robot, task.frame, frame) for frame in counted):
+            continue
+        counted.append(task.frame)
+        on = [contact for contact in phase.contacts.values() if _one_link(robot, task.frame, contact.frame)]
+        frame = on[0].frame if on else task.frame
+        rows = [np.zeros((0, 6)), *(contact.A(state) @ _adjoint(dynamics, frame, contact.frame) for contact in on)]
+        F = _adjoint(dynamics, frame, task.frame).T @ F
+        known += dynamics(frame).J.T @ analytic.wrench_residual(np.concatenate(rows), F)
     dynamics = _loaded(dynamics, known, phase.gravity_only)
     base = dynamics(frames[0])
-    posture = next((task for task in phase.tasks.values() if isinstance(task, PostureTask)), None)
-    vdot_posture = np.zeros(robot.nv) if posture is None else posture.Kp @ (posture.q - state.q) - posture.Kd @ state.v
+    vdot_posture = _posture(phase, state)
     commands = {name: _command(phase, name, law, state, dynamics, memory, given) for name in phase.contacts}
     held = {name: (contact.A(state), dynamics(contact.frame)) for name, contact in phase.contacts.items()}
     adot = {name: contact.Adot_V(state) for name, contact in phase.contacts.items()}
-    rows = [_compliance(phase, task, felt[name], state, dynamics, held) for name, task in compliant.items()]
-    if len(motions) == 1 and len(held) == 1 and motions[0].contact in held and not rows:
+    rendered = [_compliance(phase, task, felt[name], state, dynamics, held) for name, task in compliant.items()]
+    if len(motions) == 1 and len(held) == 1 and motions[0].contact in held and not rendered:
         tau = _hybrid(robot, phase, law, state, motions[0], held, adot, commands, dynamics, vdot_posture)
     else:
-        tau = _stacked(phase, law, state, motions, held, adot, commands, dynamics, base, vdot_posture, rows)
+        tau = _stacked(phase, law, state, motions, held, adot, commands, dynamics, base, vdot_posture, rendered)
     reactions = {name: A.T for name, (A, _) in held.items()}
     for name, contact in phase.contacts.items():
         if contact.pushes is not None and contact.pushes.modelled:
@@ -94,6 +98,26 @@ def closed_form(
         lam[name] = answer[start : start + A.shape[0]]
         start += A.shape[0]
     return tau, answer[: robot.nv], lam
+
+
+def _posture(phase: Phase, state: State) -> Array:
+    """(nv,) what postures ask for: in one metric several are one, at the mean that their weights make."""
+    tasks = {name: task for name, task in phase.tasks.items() if isinstance(task, PostureTask)}
+    total, weights = np.zeros(state.v.size), sum(phase.weights[name] for name in tasks)
+    for name, task in tasks.items():
+        total += phase.weights[name] / weights * (task.Kp @ (task.q - state.q) - task.Kd @ state.v)
+    return total
+
+
+def _one_link(robot: Robot, a: str, b: str) -> bool:
+    """Whether no joint lies between two frames."""
+    frames = robot.model.frames
+    return bool(frames[robot.frame_id(a)].parentJoint == frames[robot.frame_id(b)].parentJoint)
+
+
+def _adjoint(dynamics: Callable[[str], Dynamics], a: str, b: str) -> Array:
+    """(6, 6) with V_b = Ad V_a for two frames of one link."""
+    return analytic.adjoint(analytic.inverse(dynamics(b).T) @ dynamics(a).T)
 
 
 def _loaded(dynamics: Callable[[str], Dynamics], known: Array, gravity_only: bool) -> Callable[[str], Dynamics]:

@@ -16,7 +16,7 @@ from .centroidal import ComTask, WholeBodyPosture
 from .contact import Contact
 from .dynamics import fill, gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
-from .impedance import AdmittanceTask, Compliance, ImpedanceTask
+from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .robot import Robot, State
@@ -114,6 +114,31 @@ def carry(state: State, phase: Phase) -> None:
             state.carry(held.frame, phase.contacts[name].known(state, held, state.measured[name]))
 
 
+def carry_felt(state: State, phase: Phase, felt: Mapping[str, Felt]) -> None:
+    """Count what compliant tasks feel as known: on each link once, and not again what its contact has fed forward."""
+    counted = [state.contacts[name].frame for name in phase.fed if name in state.measured]
+    for name, task in phase.compliant.items():
+        F = felt[name].F
+        if F is None or not task.carries or any(state.robot.wrench_map(task.frame, at) is not None for at in counted):
+            continue
+        counted.append(task.frame)
+        state.carry(*_unheld(state, task.frame, F))
+
+
+def _unheld(state: State, frame: str, F: Array) -> tuple[str, Array]:
+    """The part of a wrench (6,) at a frame that no contact of its link causes, and the frame at which it is told."""
+    robot = state.robot
+    held = [each for each in state.contacts.values() if robot.wrench_map(frame, each.frame) is not None]
+    if not held:
+        return frame, F
+    at = held[0].frame
+    F = robot.wrench_map(frame, at).dot(F)  # type: ignore[union-attr]
+    if len(held) == 1:
+        return at, held[0].unconstrained(F)
+    A = np.concatenate([each.A.dot(robot.wrench_map(each.frame, at).T) for each in held])  # type: ignore[union-attr]
+    return at, F - A.T.dot(np.linalg.lstsq(A.T, F, rcond=None)[0])
+
+
 class Program:
     """The program of one phase. Its structure is fixed here; `assemble` fills in the numbers of a tick."""
 
@@ -131,8 +156,8 @@ class Program:
         self.single = len(self.motion) == 1 and not other
         if any(task.raw for task in self.motion.values()) and not (self.single and len(phase.contacts) == 1):
             raise LawError(
-                f"law: book is for one contact and one motion task on it; there are {len(phase.contacts)} contacts and "
-                f"{len(self.above)} tasks of motion; use law: compensated"
+                "the book's is for one contact and one motion task on it; there are "
+                f"{len(phase.contacts)} contacts and {len(self.above)} tasks of motion; expected compensated"
             )
         # motion and posture of equal weight are one least squares problem in M
         self.merged: tuple[list[Any], PostureTask, float] | None = None

@@ -69,12 +69,15 @@ def figure(log: Log, summary: dict[str, Any]) -> Figure:
     fig = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
     _header(fig, log, summary)
     blocks, motions = _blocks(log), [name for name in log.meta.get("motions", ()) if f"{name}.error" in log]
+    pushed = {} if blocks else {n: axes for n, axes in log.meta.get("pushed", {}).items() if f"{n}.external" in log}
     top = 3.7 + max(0.0, 0.45 * (len(blocks[:BLOCKS]) - 4)) if blocks or motions else 0.01
     place = {"left": 0.05, "right": 0.985, "top": 0.865, "bottom": 0.045, "hspace": 0.27, "wspace": 1.6}
     grid = GridSpec(3, 24, fig, **place, height_ratios=[top, 2.6, 2.7])
-    split = 14 if blocks and motions else 24 if blocks else 0
+    split = 14 if (blocks or pushed) and motions else 24 if blocks else 0
     if blocks:
         _wrenches(fig, grid[0, :split], log, blocks)
+    elif pushed:
+        _pushes(fig, grid[0, :split], log, pushed)
     if motions:
         _path(fig.add_subplot(grid[0, split:], label="path"), log, motions)
         _tracking(fig.add_subplot(grid[1, 14:], label="tracking"), log, motions)
@@ -168,10 +171,43 @@ def _error(ax: Axes, log: Log, contact: str, index: list[int], unit: str) -> Non
     _legend(ax, loc="upper right", ncols=3, borderaxespad=0.1)
 
 
+def _pushes(fig: Figure, place: SubplotSpec, log: Log, tasks: Mapping[str, Sequence[str]]) -> None:
+    """What truly pushes on each compliant task, and how far it gives way, below."""
+    grid = GridSpecFromSubplotSpec(1, len(tasks), place, wspace=0.2)
+    for i, (name, axes) in enumerate(tasks.items()):
+        linear = [j for j, axis in enumerate(axes) if axis[0] == "v"]  # moments have a unit of their own
+        index = linear or list(range(len(axes)))
+        units = ("N", "mm") if linear else ("N m", "mrad")
+        cell = GridSpecFromSubplotSpec(2, 1, grid[0, i], hspace=0.08)
+        names = [axes[j][1:] if len(axes[j]) == 2 else axes[j] for j in index]
+        rows = (("external", 1.0), ("displacement", 1e3))
+        for row, ((quantity, factor), unit, said) in enumerate(
+            zip(rows, units, ("pushed by", "gives way"), strict=True)
+        ):
+            ax = fig.add_subplot(cell[row], label=f"{name} {said} [{unit}]")
+            _axes(ax, "" if row else f"{name}: {said} [{unit}]", log, f"{name}.{quantity}")
+            _lines(ax, log, factor * log[f"{name}.{quantity}"][:, index], names)
+            if row:
+                ax.set_ylabel(f"{said}\n[{unit}]", size=8, color=INK)
+            else:
+                ax.tick_params(labelbottom=False)
+                _legend(ax, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=7)
+
+
+def _of(log: Log, motions: list[str], part: slice) -> list[str]:
+    """The motions that have an error along some axes of this part of a pose at all; all of them where none has."""
+    return [name for name in motions if np.nan_to_num(log[f"{name}.error"][:, part]).any()] or motions
+
+
 def _path(ax: Axes, log: Log, motions: list[str]) -> None:
-    """Desired and actual path along the two world axes on which the references move most; several from their starts."""
+    """Desired and actual path along the two world axes on which the references, or else the frames, move most; several
+    from their starts."""
+    motions = _of(log, motions, slice(3, 6))
     known = {name: _known(log[f"{name}.desired"]) for name in motions}
-    x, y = np.sort(np.argsort(-np.sum([path.var(axis=0) for path in known.values()], axis=0), kind="stable")[:2])
+    spread = np.sum([path.var(axis=0) for path in known.values()], axis=0)
+    if not spread.max() > 1e-12:  # references that stand still: where the push moves it
+        spread = np.sum([_known(log[f"{name}.position"]).var(axis=0) for name in motions], axis=0)
+    x, y = np.sort(np.argsort(-spread, kind="stable")[:2])
     alone = len(motions) == 1
     _axes(ax, f"path along {'xyz'[x]}, {'xyz'[y]}{'' if alone else ', from the start'} [mm]")
     for i, name in enumerate(motions):
@@ -188,17 +224,20 @@ def _path(ax: Axes, log: Log, motions: list[str]) -> None:
 
 def _tracking(ax: Axes, log: Log, motions: list[str]) -> None:
     """Distance and angle to the reference, logarithmic: start and end may be decades apart."""
-    _axes(ax, "tracking error [mm, mrad]", log)
-    for i, name in enumerate(motions):
-        for j, (what, unit, part) in enumerate((("position", "mm", slice(3, 6)), ("rotation", "mrad", slice(0, 3)))):
-            error = 1e3 * np.linalg.norm(log[f"{name}.error"][:, part], axis=1)
-            text = f"{name}.{what}: rms {_rms(error[_settled(log, f'{name}.error')]):.2g} {unit}"
-            _lines(ax, log, np.maximum(error, 1e-9)[:, None], [text], COLOURS[(2 * i + j) % JOINTS])
+    soft = [name for name in motions if f"{name}.displacement" in log]
+    _axes(ax, f"tracking error{', way given' if soft else ''} [mm, mrad]", log)
+    parts = (("position", "mm", slice(3, 6)), ("rotation", "mrad", slice(0, 3)))
+    drawn = [(name, part) for name in motions for part in parts if name in _of(log, motions, part[2])]
+    for i, (name, (what, unit, part)) in enumerate(drawn):
+        error = 1e3 * np.linalg.norm(log[f"{name}.error"][:, part], axis=1)
+        told = f"rms {_rms(error[_settled(log, f'{name}.error')]):.2g} {unit}"
+        text = f"{name} gives way: {told}" if name in soft else f"{name}.{what}: {told}"
+        _lines(ax, log, np.maximum(error, 1e-9)[:, None], [text], COLOURS[i % JOINTS])
     ax.set_yscale("log")
     ax.minorticks_off()
     ax.yaxis.set_major_formatter("{x:g}")
     low, high = ax.get_ylim()
-    ax.set_ylim(max(low, 1e-6 * high), 10.0 ** (0.6 * len(motions) + 0.3) * high)
+    ax.set_ylim(max(low, 1e-6 * high), 10.0 ** (0.3 * len(drawn) + 0.3) * high)
     _legend(ax, loc="upper right")
 
 

@@ -2,10 +2,12 @@
 
 CONTACT.AXIS       wrench of the robot on the environment, at the contact's frame, also of one that is not active
 CONTACT.distance   of its frame from where the contact holds it, against its push or along the one axis held [m]
+CONTACT.slip       speed of its frame across its push along what friction is to hold there, while it is active [m/s]
 TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s]
 TASK.done          1 when the reference, and what led into it, have come to rest for good
 
-All of them are true of the robot's model and of the sensor, as the controller knows them.
+All of them are true of the robot's model and of the sensor, as the controller knows them: a slip is that of the joints'
+velocities, so noise of theirs is in it.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
+from .contact import Contact
 from .qp import Array
 from .robot import State
 from .task import ForceTask, MotionTask
@@ -42,6 +45,14 @@ def from_sphere(frame: str, centre: Array, radius: float) -> Reading:
     """How far a frame is outside of a sphere [m]."""
     centre = centre.copy()
     return lambda state: float(np.linalg.norm(state.frame(frame).T.translation - centre)) - radius
+
+
+def slip(contact: Contact) -> Reading | None:
+    """How fast a contact gives way where its friction is to hold [m/s]; None where none is said to hold anything."""
+    pushes = contact.pushes
+    if pushes is None or not pushes.mu or not len(pushes.held):
+        return None
+    return lambda state: float(np.linalg.norm(pushes.turned(contact, state)[1].dot(state.frame(contact.frame).V[3:])))
 
 
 def error(task: MotionTask) -> Reading:

@@ -19,10 +19,12 @@ from .contact import Contact
 from .controller import Controller, Output, Status
 from .dynamics import mobility, unheld
 from .errors import SimulationError
+from .feeling import unfelt
 from .impedance import Compliance
 from .log import Log
 from .metrics import metrics
 from .model import quietly
+from .phase import Phase
 from .response import Bode, described, responses
 from .robot import State
 from .sim import Observation, Simulator, Touch
@@ -89,7 +91,7 @@ def run(
         broken = str(error)
     finally:
         gc.unfreeze()
-    notes = [*built.notes, *_validity(built, log, simulator.model)]
+    notes = [*built.notes, *_deaf(built), *_validity(built, log, simulator.model)]
     summary = _summary(built, log, time.perf_counter() - began, broken, notes)
     return Result(log, summary, responses(log, built.phases) if not broken else {})
 
@@ -100,7 +102,8 @@ def _loop(
     controller = built.controller
     before: tuple[Observation, Output, State] | None = None
     contacts = {name: contact for phase in built.phases for name, contact in phase.contacts.items()}
-    feeling = {name: frame for phase in built.phases for name, frame in phase.feeling.items()}
+    deaf = unfelt(built.robot, built.phases)
+    feeling = [name for phase in built.phases for name in phase.feeling if name not in deaf]
     touched = dict.fromkeys(contacts, True)
     for tick in range(ticks):
         seen = simulator.observe()
@@ -247,9 +250,25 @@ def _meta(built: Built, seed: int) -> dict[str, Any]:
             {name: 0 for phase in built.phases for name, t in phase.tasks.items()
              if isinstance(t, MotionTask | Compliance)}
         ),
+        "pushed": {name: list(task.axes) for phase in built.phases for name, task in phase.compliant.items()},
         "phases": [phase.name for phase in built.phases], "changes": [],
         **described(built.spec.plant),
     }  # fmt: skip
+
+
+def _deaf(built: Built) -> Iterator[str]:
+    """Force loops, feedforward and tasks that are asked to feel what the wrist sensor does not read."""
+    for name, frame in unfelt(built.robot, built.phases).items():
+        if any(_listens(phase, name) for phase in built.phases):
+            yield f"{name}: nothing is measured there, for the wrist sensor does not read what acts on {frame}"
+
+
+def _listens(phase: Phase, name: str) -> bool:
+    """Whether something in a phase goes by the wrench measured for a contact or task."""
+    loops = [task for task in phase.tasks.values() if isinstance(task, ForceTask) and task.contact == name]
+    gains = any(loop.Kp.any() or loop.Ki.any() for loop in loops)
+    felt = any((task.contact or each) == name and task.source == "measured" for each, task in phase.compliant.items())
+    return gains or felt or name in phase.fed
 
 
 def _validity(built: Built, log: Log, model: Any) -> Iterator[str]:

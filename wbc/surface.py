@@ -10,7 +10,7 @@ import numpy as np
 from .analytic import surface_cone
 from .analytic.surface import FRICTION, PRESSURE, PUSH, YAW
 from .errors import WrenchError
-from .friction import Cone, Unilateral
+from .friction import SLIP, Cone, Unilateral
 from .qp import Array, Rows
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Sole(Unilateral):
     def __init__(self, d: Array, size: tuple[float, float], mu: float, least: float = 0.0, place: Array | None = None):
         if abs(float(d[2])) < 1.0 - 1e-9:
             raise WrenchError("a sole lies in the plane z = 0 of its frame; expected it to push along z")
-        super().__init__(d, np.eye(3)[:2], np.zeros((0, 3)), least, mu, 4, place=place)
+        super().__init__(d, np.eye(3)[:2], np.zeros((0, 3)), least, mu, 4, SLIP, place)
         self.size = (float(size[0]), float(size[1]))
         # the cone is that of a push along +z; turned over, force and moment change their signs together
         self._wrenches = float(d[2]) * surface_cone(mu / math.sqrt(2.0), 0.5 * self.size[0], 0.5 * self.size[1])

@@ -190,18 +190,23 @@ def _of_phase(phase: Phase, spec: Spec, left_out: LeftOut) -> Iterator[tuple[Key
     if phase.lost is not None and not any(isinstance(spec.tasks[task], ForceTask) for task in tasks):
         yield ("lost",), "nothing presses in this phase; expected a force task, whose contact can be lost"
     for quantity in phase.until.conditions if phase.until is not None else ():
-        if quantity != "time" and (message := _unmeasured(quantity, tasks, spec, left_out)):
+        if quantity != "time" and (message := _unmeasured(quantity, contacts, tasks, spec, left_out)):
             yield ("until", quantity), message
 
 
-def _unmeasured(quantity: str, tasks: Collection[str], spec: Spec, left_out: LeftOut) -> str | None:
-    """What is wrong with the name of a measured quantity, of any contact or of a task of the phase."""
+def _unmeasured(
+    quantity: str, contacts: Collection[str], tasks: Collection[str], spec: Spec, left_out: LeftOut
+) -> str | None:
+    """What is wrong with the name of a measured quantity, of any contact, or of what is active in the phase."""
     subject, _, what = quantity.rpartition(".")
     motions = [name for name, task in spec.tasks.items() if isinstance(task, MotionTask)]
     known = [f"{name}.{each}" for name in spec.contacts for each in (*WRENCH_AXES, "distance")]
+    known += [f"{name}.slip" for name in contacts]
     known += [f"{name}.{each}" for name in motions if name in tasks for each in ("done", "error", "speed")]
     if quantity in known or any((section, subject) in left_out for section in ("contacts", "tasks")):
         return None
     if subject in motions and subject not in tasks and what in ("done", "error", "speed"):
         return f"task {subject!r} is not active in this phase; expected one of its own"
+    if subject in spec.contacts and subject not in contacts and what == "slip":
+        return f"contact {subject!r} is not active in this phase; expected one of its own"
     return f"no such quantity{did_you_mean(quantity, [*known, 'time'])}"

@@ -61,9 +61,17 @@ class _Compliance(Model):
     frame: Text | None = Field(default=None, description="without a contact: the frame at which it is felt")
     axes: Axes = Field(default="all", description="without a contact: the velocity axes, or all")
     target: Text | None = Field(default=None, description="without a contact: a reference; else where it starts")
+    M: Gain = Field(description="mass; 0 of an impedance: the arm's own is felt [kg m^2, kg]")
+    B: Gain = Field(description="damping [N m s/rad, N s/m]")
+    K: Gain = Field(description="stiffness [N m/rad, N/m]")
     error: Error = Field(default="log", description=_ERROR)
     filter: Positive | None = Field(default=None, description="cut-off of the low-pass on the external wrench [Hz]")
     weight: Positive = Field(default=1.0, description="weight of the cost, relative [1]")
+
+    @property
+    def source(self) -> str:
+        """Where the external wrench comes from."""
+        raise NotImplementedError
 
     def _faults(self) -> Iterable[Message]:
         for key in ("frame", "axes", "target"):
@@ -71,15 +79,19 @@ class _Compliance(Model):
                 yield (key,), "comes from the contact; expected either `contact`, or `frame`, `axes` and `target`"
         if self.contact is None and self.frame is None:
             yield ("frame",), "is missing; expected a `contact` or a `frame`"
+        for key in ("M", "B", "K"):
+            gain = getattr(self, key)
+            # what is zero along some axes is a task along fewer axes
+            if isinstance(gain, tuple) and not isinstance(gain[0], tuple) and any(gain) and not all(gain):
+                yield (key,), "expected all of them above 0, or all of them 0"
+        if self.filter is None and self.source == "observer":
+            yield ("filter",), "is missing; expected the bandwidth of the observer [Hz]"
 
 
 class ImpedanceTask(_Compliance):
     """Render a mass, spring and damper by the force that a motion calls for (book 11.7.1)."""
 
     type: Literal["impedance"] = Field(description="impedance")
-    M: Gain = Field(description="mass; 0: the arm's own is felt [kg m^2, kg]")
-    B: Gain = Field(description="damping [N m s/rad, N s/m]")
-    K: Gain = Field(description="stiffness [N m/rad, N/m]")
     external: Literal["measured", "observer", "acceleration", "none"] | None = Field(
         default=None,
         description="where the external wrench comes from: the sensor, a momentum observer, the acceleration, or "
@@ -96,7 +108,6 @@ class ImpedanceTask(_Compliance):
 
     def _faults(self) -> Iterable[Message]:
         yield from super()._faults()
-        yield from _uneven(self, ("M", "B", "K"))
         if _any(self.M) and self.source == "none":
             yield ("external",), "a mass needs the external wrench; expected measured, observer or acceleration"
         if not _any(self.M) and self.source != "none":
@@ -105,17 +116,12 @@ class ImpedanceTask(_Compliance):
             yield ("compensate",), "a mass needs the arm's dynamics cancelled; expected dynamics, or M: 0"
         if self.filter is not None and self.source not in ("measured", "observer"):
             yield ("filter",), f"nothing is filtered with external: {self.source}; remove it, or choose measured"
-        if self.filter is None and self.source == "observer":
-            yield ("filter",), "is missing; expected the bandwidth of the observer [Hz]"
 
 
 class AdmittanceTask(_Compliance):
     """Move as a mass, spring and damper would under the measured wrench (book 11.7.2)."""
 
     type: Literal["admittance"] = Field(description="admittance")
-    M: Gain = Field(description="mass [kg m^2, kg]")
-    B: Gain = Field(description="damping [N m s/rad, N s/m]")
-    K: Gain = Field(description="stiffness [N m/rad, N/m]")
     kp: Gain = Field(default=100.0, description="stiffness with which the arm follows the moving mass [1/s^2]")
     kd: Gain = Field(default=20.0, description="damping with which it follows [1/s]")
     external: Literal["measured", "observer"] = Field(
@@ -132,24 +138,13 @@ class AdmittanceTask(_Compliance):
 
     def _faults(self) -> Iterable[Message]:
         yield from super()._faults()
-        yield from _uneven(self, ("M", "B", "K"))
         if not _any(self.M):
             yield ("M",), "an admittance moves a mass: expected it above 0, or type: impedance"
-        if self.filter is None and self.source == "observer":
-            yield ("filter",), "is missing; expected the bandwidth of the observer [Hz]"
 
 
 def _any(gain: Any) -> bool:
     """Whether a gain is not zero."""
     return any(map(_any, gain)) if isinstance(gain, tuple) else gain != 0
-
-
-def _uneven(task: Any, keys: Iterable[str]) -> Iterable[Message]:
-    """A list is all zero or all above zero: what is zero along some axes is a task along fewer axes."""
-    for key in keys:
-        gain = getattr(task, key)
-        if isinstance(gain, tuple) and not isinstance(gain[0], tuple) and any(gain) and not all(gain):
-            yield (key,), "expected all of them above 0, or all of them 0"
 
 
 class PostureTask(Model):
