@@ -11,7 +11,7 @@ from wbc.centroidal import DistributionTask, mass
 from wbc.check import check
 from wbc.contact import Settling
 from wbc.controller import Controller, Status
-from wbc.errors import LawError, NameNotFound, StateError
+from wbc.errors import LawError, NameNotFound, SpecError, StateError
 from wbc.foot import RoundFoot
 from wbc.friction import unilateral
 from wbc.phase import place
@@ -288,5 +288,5 @@ class TestFigures:
     def test_verify_says_that_there_is_no_closed_form(self):
         from wbc.verify import verify
 
-        with pytest.raises(LawError, match="expected a fixed base"):
+        with pytest.raises(SpecError, match="expected a robot with a fixed base"):
             verify(load("go2_stand"))

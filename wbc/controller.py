@@ -21,7 +21,7 @@ from .kernels import torque
 from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State, Terms
-from .solver import DEFAULT, Solution, Solver, answer, make
+from .solver import DEFAULT, Solution, Solver, make
 from .task import ForceLoop
 from .transition import STOP, Change, Watch
 from .whole_body import WholeBodyProgram
@@ -268,9 +268,9 @@ class Controller:
             memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
         if not program.assemble(state, tau_last, self.dt):
             return self._hold(program.last.fault())
-        solution = answer(self._solver, program.strict.problem)
+        solution = program.solve(self._solver)
         if not solution.accepted and program.relax(state):
-            solution = answer(self._second, program.last.problem)
+            solution = program.solve(self._second)
         if not solution.accepted:
             return self._hold(program.last.fault() or solution.reason)
         return self._accept(program, state, solution, tau_last, memory, t, refused, missed)

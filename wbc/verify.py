@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from .build import Built, build
 from .controller import Controller, Memory, Phase, Status
-from .errors import LawError, SpecError
+from .errors import SpecError
 from .faults import Faults, Place
 from .impedance import Compliance, Felt
 from .limit import TorqueLimit
@@ -109,10 +109,6 @@ def verify(
             del certificate.laws[law]
             certificate.left_out[law] = "; ".join(fault.message for fault in error.faults)
             continue
-        if built.robot.base:
-            raise LawError(
-                f"{spec.robot} has a floating base, of which the chapter has no closed form; expected a fixed base"
-            )
         _require_closed_form(built)
         told = None if progress is None else partial(_after, progress, 1000 * i)
         Oracle(built, law, certificate, solver).run(
@@ -122,8 +118,13 @@ def verify(
 
 
 def _require_closed_form(built: Built) -> None:
-    """Raise SpecError where contacts and tasks want more of the start than its axes can give: weights then decide."""
+    """Raise SpecError where contacts and tasks want more of the start than its axes can give: weights then decide; and
+    for floating bases."""
     faults = Faults(built.spec)
+    if built.robot.base:
+        message = f"{built.spec.robot} has a floating base, of which the chapter has no closed form"
+        faults.add(("robot",), f"{message}; expected a robot with a fixed base")
+    faults.check()
     for phase in built.phases:
         above = np.zeros((0, built.robot.nv))
         for place, rows in _rows(built, phase).items():
