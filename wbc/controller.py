@@ -104,6 +104,7 @@ class Controller:
         rate: float = 1000.0,
         phases: Sequence[Phase] | None = None,
         q: Array | None = None,
+        hierarchy: str = "weighted",
     ) -> None:
         self.robot, self.dt = robot, 1.0 / rate
         self._terms = Terms(robot)
@@ -113,7 +114,7 @@ class Controller:
         q = robot.keyframes["home"] if q is None else np.array(q, float)
         start = State(self._terms, q, np.zeros(robot.nv))
         if phases is None:
-            phases = [place(robot, contacts or {}, tasks or {}, limits or {})]
+            phases = [place(robot, contacts or {}, tasks or {}, limits or {}, hierarchy)]
         self.notes: list[str] = []
         program = WholeBodyProgram if robot.base else Program
         self._programs: list[Program] = [program(settle_posture(phase, start, self.notes), start) for phase in phases]

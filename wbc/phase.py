@@ -30,6 +30,8 @@ _NO_METRIC = np.zeros((0, 0))
 Cost: TypeAlias = tuple[
     Rows, float, int
 ]  # rows, their weight, and the level at which they stand where priorities are strict
+HIERARCHIES = ("weighted", "strict")
+LEVEL_RATIO = 1e-3  # of the weights from one level to the next, where priorities are not strict
 LAST = 1_000_000  # the level of what decides only what no task does
 YIELD_WEIGHT = 1e6  # of joint viability, in ticks that have no answer otherwise
 
@@ -69,10 +71,28 @@ class Phase:
         return any(isinstance(task, ImpedanceTask) and task.gravity_only for task in self.compliant.values())
 
 
-def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any], limits: Mapping[str, Any]) -> Phase:
-    """A phase from what `Controller` is given: tasks, or pairs of a task and its weight. Raises WbcError."""
-    placed = {name: task if isinstance(task, tuple) else (task, 1.0) for name, task in tasks.items()}
-    for name, (task, _) in placed.items():
+def prioritised(
+    weights: Mapping[str, float], levels: Mapping[str, int], hierarchy: str
+) -> tuple[dict[str, float], dict[str, int] | None]:
+    """Weights and levels of a phase's tasks: strict levels, or all on one with every level a thousandth of the last."""
+    if hierarchy == "strict":
+        return dict(weights), dict(levels)
+    return {name: weight * LEVEL_RATIO ** (levels[name] - 1) for name, weight in weights.items()}, None
+
+
+def place(
+    robot: Robot,
+    contacts: Mapping[str, Contact],
+    tasks: Mapping[str, Any],
+    limits: Mapping[str, Any],
+    hierarchy: str = "weighted",
+) -> Phase:
+    """A phase from what `Controller` is given: tasks, or a task with its weight and level. Raises WbcError."""
+    if hierarchy not in HIERARCHIES:
+        raise LawError(f"hierarchy: expected one of {', '.join(HIERARCHIES)}, got {hierarchy!r}")
+    given = {name: task if isinstance(task, tuple) else (task,) for name, task in tasks.items()}
+    placed = {name: (*task, *(1.0, 1)[len(task) - 1 :]) for name, task in given.items()}
+    for name, (task, _, _) in placed.items():
         contact = getattr(task, "contact", None)
         if contact is not None and contact not in contacts:
             raise NameNotFound(f"contact (of task {name!r})", contact, contacts)
@@ -81,8 +101,13 @@ def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any
             if shared not in contacts:
                 raise NameNotFound(f"contact (of task {name!r})", shared, contacts)
     torque, joint = make_limits(robot, limits)
-    weights = {name: float(weight) for name, (_, weight) in placed.items()}
-    return Phase(dict(contacts), {name: task for name, (task, _) in placed.items()}, weights, torque, joint)
+    weights, levels = prioritised(
+        {name: float(weight) for name, (_, weight, _) in placed.items()},
+        {name: int(level) for name, (_, _, level) in placed.items()},
+        hierarchy,
+    )
+    only = {name: task for name, (task, _, _) in placed.items()}
+    return Phase(dict(contacts), only, weights, torque, joint, levels=levels)
 
 
 def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
