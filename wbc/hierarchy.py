@@ -54,7 +54,8 @@ def _root(W: Array) -> Array:
     if not np.any(W - np.diag(W.diagonal())):
         return np.diag(np.sqrt(W.diagonal()))
     values, vectors = np.linalg.eigh(0.5 * (W + W.T))
-    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
+    values[values < 1e-13 * values[-1]] = 0.0  # rounding, whose root would not be small
+    return np.asarray(np.sqrt(values)[:, None] * vectors.T)
 
 
 class _Free:
@@ -110,11 +111,13 @@ def null_space(A: Array, scale: float | None = None) -> Array:
 
 
 def solve(
-    problem: Problem, levels: Sequence[Level], solver: Solver, tolerance: Certificate = TOLERANCE
+    problem: Problem, levels: Sequence[Level], *solvers: Solver, tolerance: Certificate = TOLERANCE
 ) -> tuple[Solution, list[Array]]:
     """The lexicographic optimum over the hard rows of `problem`, and what is left of every level, (m,) each.
 
-    The levels should end with one that decides everything. The certificate is the worst of all levels' own; a level
+    Where the first solver has no certified answer for a level the next is asked: rows that meet in z = 0 and all but
+    coincide, as the torques of two ankles that one internal force drives, are hard on an active set method. The levels
+    should end with one that decides everything. The certificate is the worst of all levels' own; a level
     without a certified answer refuses the whole. The multipliers of the solution are the sums of all levels': not those
     of one problem, but nonzero where a hard row bends any of them.
     """
@@ -124,8 +127,8 @@ def solve(
         return _refused(f"hard equalities contradict one another by {free.gap:.1e}"), left
     for number, rows in enumerate(levels):
         if free.Z.shape[1]:
-            for pull in PULLS:
-                solution = _optimum(free, rows, pull, solver, tolerance)
+            for one, pull in ((one, pull) for one in solvers for pull in PULLS):
+                solution = _optimum(free, rows, pull, one, tolerance)
                 if solution.accepted:
                     break
             else:

@@ -22,7 +22,7 @@ from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .robot import Robot, State
-from .solver import Solution, Solver, answer
+from .solver import Solution, Solver, answer, make
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .transition import Exit
 
@@ -224,6 +224,7 @@ class Program:
         if joint is not None:
             joint = joint._replace(A={"vdot": None, "yield": None})
             self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, joint])
+        self._rescue = make("proxqp")  # of levels that the solver refuses
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[Cost] = []
         self._torque, self._joint = self.strict.stored["torque"], self.strict.stored.get("joint")
@@ -309,7 +310,7 @@ class Program:
         levels = [
             level([(rows, w) for rows, w, at in self._costs if at == one], self.last.variables) for one in by_level
         ]
-        return descend(self.last.problem, levels, solver)[0]
+        return descend(self.last.problem, levels, solver, self._rescue)[0]
 
     def costs(self, state: State) -> list[Cost]:
         """Rows of all tasks with their weights and levels."""
