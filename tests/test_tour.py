@@ -1,9 +1,10 @@
 """The tour: seeded variations of the specs stay within their bars, widened by what theory predicts of the errors."""
 
 import os
+from dataclasses import replace
 
 import pytest
-from tour import judge, variation
+from tour import SPECS, judge, variation
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 ONE = os.environ.get("WBC_SEED")
@@ -24,3 +25,16 @@ def test_variations_stay_within_their_bars(verdicts):
     print(told)
     assert not any(verdict.diverged for verdict in verdicts), told
     assert len(verdicts) - len(missed) >= (1 if ONE else KEPT), f"{len(missed)} of {len(verdicts)}:\n{told}"
+
+
+@pytest.mark.parametrize(
+    ("spec", "change", "metric"),
+    [
+        ("eraser", "plant.joint_friction=0.5", "draw.position.rms_error"),
+        ("force_feedforward", "plant.payload=0.02", "anchor.fz.max_error"),
+        ("force_pi", "plant.noise.bias={force: [0, 0, 0.1]}", "anchor.fz.rms_error"),
+    ],
+)
+def test_an_error_that_is_not_foretold_is_a_miss(spec, change, metric, tmp_path):
+    case = variation(SPECS.index(spec))
+    assert metric in judge(replace(case, changes=(*case.changes, change)), tmp_path).missed
