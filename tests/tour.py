@@ -48,10 +48,10 @@ SECONDS = {
     "force_pi": 2.0,
     "force_feedforward": 1.5,
     "polish_sphere": 3.0,
-    "impedance": 5.0,
+    "impedance": 4.0,
     "admittance": 4.0,
 }  # others 2.5; the first to settle, the sphere once around, pushes long enough for their slowest sine
-PUSH = {"impedance": 10.0, "admittance": 4.0}  # [N] amplitude of each sine
+PUSH = {"impedance": 5.0, "admittance": 4.0}  # [N] of each sine; twice as much meets the limit of the torque rate
 
 
 @dataclass(frozen=True)
