@@ -44,13 +44,8 @@ SCENES = {
     "eraser": "board", "chalk": "board", "planar": "board", "eraser_friction": "board", "polish_sphere": "dome",
     "force_pi": "anchor", "force_feedforward": "anchor",
 }  # fmt: skip
-SECONDS = {
-    "force_pi": 2.0,
-    "force_feedforward": 1.5,
-    "polish_sphere": 3.0,
-    "impedance": 4.0,
-    "admittance": 4.0,
-}  # others 2.5; the first to settle, the sphere once around, pushes long enough for their slowest sine
+# [s] that are measured: a sphere once around, pushes long enough for their slowest sine; others 1.5
+MEASURED = {"force_pi": 1.0, "force_feedforward": 0.5, "polish_sphere": 2.0, "impedance": 3.0, "admittance": 3.0}
 PUSH = {"impedance": 5.0, "admittance": 4.0}  # [N] of each sine; twice as much meets the limit of the torque rate
 
 
@@ -67,8 +62,8 @@ class Variation:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
-def variation(seed: int) -> Variation:
-    """The same for ever for a seed."""
+def variation(seed: int, share: float = 1.0) -> Variation:
+    """The same for ever for a seed; `share` of what is measured after the first second, which is left to settle."""
     rng = np.random.default_rng([seed, 20])
     spec = SPECS[seed % len(SPECS)]
     noise, mass = float(rng.uniform(0.0, 0.2)), float(rng.uniform(-0.03, 0.03))
@@ -77,7 +72,7 @@ def variation(seed: int) -> Variation:
         armature = 0.06 + 0.6 * armature  # of a much lighter arm than M, a wrench one tick old renders another M
     facts: dict[str, Any] = {"noise": noise, "mass": mass, "armature": armature}
     changes = [
-        f"duration={SECONDS.get(spec, 2.5)}",
+        f"duration={1.0 + share * MEASURED.get(spec, 1.5):.2f}",
         f"plant.noise.force={noise:.4f}",
         f"plant.noise.moment={0.02 * noise:.5f}",
         f"plant.mass_error={mass:.4f}",
