@@ -2,7 +2,8 @@
 
 Of every seed: pose (of the scene, or of the start), gains, rotors that the controller knows, a wrong mass of every link
 up to 3 %, noise on the wrist sensor up to 0.2 N and 0.004 N m; of scenes also tilt and stiffness. `allowance` says what
-the last three but stiffness do to each figure; a wrong rotor is left out, for its friends among the bars say nothing.
+mass and noise do to each figure; the rest is to change nothing. A wrong rotor is left out: no bar has an allowance for
+it.
 
     force       force_feedforward (without a sensor), force_pi (with a load as well)
     hybrid      eraser, chalk, planar, polish_sphere, eraser_friction
@@ -95,7 +96,7 @@ def variation(seed: int, share: float = 1.0) -> Variation:
         model = mu if known else mu * float(rng.uniform(0.8, 1.2))
         changes += [f"contacts.board.friction={model:.4f}"]
         changes += [] if known else ["contacts.board.feedforward=modelled"]
-        bounds = bounds | {} if known else bars.WRONG_MU
+        bounds = bounds if known else bars.WRONG_MU
         declared = f'<custom><numeric name="surface:board" data="{mu:.4f} 10 0.15"/></custom>\n</mujoco>'
         files["scene"] = files["scene"].replace("</mujoco>", declared)
         facts |= {"mu": mu, "model": model}
@@ -174,6 +175,7 @@ class Verdict:
 
 
 def _built(case: Variation, files: list[str]) -> Built:
+    """The spec with its force gains, or a share of them where they are refused."""
     share = 1.0
     while True:
         gains = [f"tasks.press.{key}={share * value:.4f}" for key, value in case.gains.items()]
@@ -195,6 +197,8 @@ def judge(case: Variation, folder: Path) -> Verdict:
     built = _built(case, files)
     result = run(built, seed=case.seed)
     log, settle, found = result.log, built.spec.expect.settle, result.summary["metrics"]
+    if "broken" in result.summary:
+        return Verdict(case, {metric: (np.inf, bar) for metric, bar in case.bars.items()}, finished=False)
     slow = sampled(built, log)
     forces = {name: pressed(built, slow, name, settle) for name in built.controller.phase.contacts}
     felt = {name: rendered(built, log, slow, name, settle) for name in built.controller.phase.compliant}
@@ -216,7 +220,7 @@ def judge(case: Variation, folder: Path) -> Verdict:
         figures[metric] = (found.get(metric, np.inf), bar)
     if case.spec == "eraser_friction" and "board.tilt" in case.bars:
         figures["board.corners"] = (-found.get("board.corners", 0.0), -bars.CORNERS)
-    return Verdict(case, figures, "broken" not in result.summary)
+    return Verdict(case, figures, finished=True)
 
 
 def _beyond(built: Any, log: Any, metric: str, felt: np.ndarray, settle: float) -> float:
