@@ -267,7 +267,7 @@ class WorldAxesContact(AxesContact):
 
     def Adot_V(self, state: State) -> Array:
         V = state.frame(self.frame).V
-        return self._turned(self._A, state)[:, 3:] @ np.cross(V[:3], V[3:])
+        return self._turned(self._A, state)[:, 3:] @ (pin.skew(V[:3]) @ V[3:])  # numpy's cross is slow
 
 
 class ScrewContact(Contact):

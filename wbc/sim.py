@@ -207,7 +207,7 @@ class Simulator:
             sign = 1.0 if inside[0] else -1.0
             axes = contact.frame.reshape(3, 3)
             f, m = sign * (axes.T @ force[:3]), sign * (axes.T @ force[3:])
-            F[:3] += R.T @ (m + np.cross(contact.pos - p, f))
+            F[:3] += R.T @ (m + pin.skew(contact.pos - p) @ f)
             F[3:] += R.T @ f
         for at, m, f, bodies in self._equalities():
             inside = [rigid[b] == rigid[body] for b in bodies]

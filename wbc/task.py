@@ -57,12 +57,14 @@ def pose_errors(T: pin.SE3, V: Array, desired: Sample, split: bool = False) -> t
         R, (w_d, v_d), (wdot, vdot) = X.rotation, desired.V.reshape(2, 3), desired.Vdot.reshape(2, 3)
         X_e = np.concatenate((pin.log3(R), X.translation))
         V_e = np.concatenate((R @ w_d - w, R @ v_d - v))
-        ahead = np.concatenate((R @ wdot - np.cross(w, R @ w_d), R @ (vdot + np.cross(w_d, v_d)) - np.cross(w, v)))
+        turn = pin.skew(w)  # numpy's cross takes ten times as long
+        ahead = np.concatenate((R @ wdot - turn @ (R @ w_d), R @ (vdot + pin.skew(w_d) @ v_d) - turn @ v))
         return X_e, V_e, ahead
     Ad = X.toActionMatrix()[_ANGULAR_FIRST]
     V_d, ahead = Ad @ desired.V, Ad @ desired.Vdot
-    ahead[:3] -= np.cross(w, V_d[:3])
-    ahead[3:] -= np.cross(v, V_d[:3]) + np.cross(w, V_d[3:])
+    turn = pin.skew(w)
+    ahead[:3] -= turn @ V_d[:3]
+    ahead[3:] -= pin.skew(v) @ V_d[:3] + turn @ V_d[3:]
     return pin.log6(X).vector[_ORDER], V_d - V, ahead
 
 
