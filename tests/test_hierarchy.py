@@ -5,9 +5,16 @@ import os
 import numpy as np
 import pytest
 
+from wbc.build import build
+from wbc.controller import Controller, Status
+from wbc.errors import LawError
 from wbc.hierarchy import Level, level, null_space, solve
 from wbc.qp import Problem, Rows, Variables
+from wbc.reference import hold
+from wbc.robot import Robot
 from wbc.solver import make
+from wbc.spec import load
+from wbc.task import MotionTask, PostureTask
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 COUNT = 500 if LARGE else 60
@@ -161,3 +168,49 @@ def test_null_space(rng):
     assert Z.shape == (9, 6)
     np.testing.assert_allclose(A @ Z, 0.0, atol=1e-13)
     np.testing.assert_allclose(Z.T @ Z, np.eye(6), atol=1e-13)
+
+
+# --- in the tick ---
+
+
+@pytest.mark.parametrize("name", ["eraser", "go2_stand"])
+def test_strict_levels_that_do_not_quarrel_are_the_weighted_answer(name):
+    spec = load(name)
+    weighted, strict = (build(spec.model_copy(update={"hierarchy": kind})) for kind in ("weighted", "strict"))
+    q, v = weighted.q, np.zeros(weighted.robot.nv)
+    for built in (weighted, strict):
+        built.controller.reset(q, v)
+    one, other = (built.controller.step(0.0, q, v) for built in (weighted, strict))
+    assert other.status in (Status.OK, Status.LIMITED), other.reason
+    np.testing.assert_allclose(other.tau, one.tau, atol=1e-6 * (1 + np.abs(one.tau).max()))
+
+
+def test_what_a_lower_task_wants_moves_no_higher_one():
+    """Two motions of one frame that contradict each other: strict, the second gets what the first leaves."""
+    made = {}
+    for kind in ("weighted", "strict"):
+        robot = Robot.load("panda")
+        q = robot.keyframes["home"]
+        here = robot.state(q, np.zeros(7)).frame("flange").T
+        tasks = {}
+        for i, x in enumerate((0.1, -0.3)):
+            goal = here.copy()
+            goal.translation = here.translation + np.array([x, 0.0, 0.0])
+            tasks[f"go{i}"] = (MotionTask("flange", hold(goal), 50.0, 14.0), 1.0, 1 + i)
+        tasks["posture"] = (PostureTask(q), 1.0, 3)
+        controller = Controller(robot, tasks=tasks, hierarchy=kind)
+        controller.reset(q, np.zeros(7))
+        out = controller.step(0.0, q, np.zeros(7))
+        assert out.status is Status.OK, out.reason
+        first = tasks["go0"][0]
+        state = robot.state(q, np.zeros(7))
+        made[kind] = np.abs(
+            state.frame("flange").J @ out.vdot + state.frame("flange").drift - first.acceleration(state)
+        ).max()
+    assert made["strict"] < 1e-6
+    assert made["weighted"] > 1e-4  # a thousandth of the weight still pulls
+
+
+def test_levels_need_a_known_hierarchy():
+    with pytest.raises(LawError, match="strict"):
+        Controller(Robot.load("panda"), hierarchy="lexicographic")

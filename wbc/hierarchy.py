@@ -13,6 +13,7 @@ inequalities for the levels below.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,9 @@ from .qp import UNCERTIFIED, Array, Certificate, Problem, Rows, Variables
 from .solver import TOLERANCE, Solution, Solver, answer
 
 RANK = 1e-9  # singular values below this part of the largest row move nothing
-PULLS = (1e-4, 1e-3, 1e-2)  # towards the last iterate, of a level's largest curvature; the next where one is refused
+# Towards the last iterate, of a level's largest curvature, and room given to the inequalities, relative: the next where
+# no solver has an answer.
+TRIES = ((1e-4, 0.0), (1e-3, 0.0), (1e-2, 0.0), (1e-3, 1e-8), (1e-3, 1e-7))
 STEPS = 100  # most iterations of a level; two to four are usual
 SETTLED = 1e-10  # change of a level's residual, relative, at which it is at its optimum
 
@@ -87,11 +90,12 @@ class _Free:
         self.C = np.concatenate((self.C, A))
         self.lo, self.hi = np.concatenate((self.lo, np.minimum(lo, at))), np.concatenate((self.hi, np.maximum(hi, at)))
 
-    def inequalities(self) -> tuple[NDArray[np.intp], Array, Array, Array]:
+    def inequalities(self, room: float) -> tuple[NDArray[np.intp], Array, Array, Array]:
         """Numbers of the rows that z moves, their C Z and its bounds on z: of the others rounding alone is left."""
         rows, at = self.C @ self.Z, self.C @ self.x
         moves = np.flatnonzero(np.linalg.norm(rows, axis=1) > RANK * np.linalg.norm(self.C, axis=1))
-        return moves, rows[moves], (self.lo - at)[moves], (self.hi - at)[moves]
+        more = room * (1.0 + np.abs(at))
+        return moves, rows[moves], (self.lo - at - more)[moves], (self.hi - at + more)[moves]
 
     def settle(self) -> None:
         """Let z = 0 be an answer exactly."""
@@ -116,10 +120,10 @@ def solve(
     """The lexicographic optimum over the hard rows of `problem`, and what is left of every level, (m,) each.
 
     Where the first solver has no certified answer for a level the next is asked: rows that meet in z = 0 and all but
-    coincide, as the torques of two ankles that one internal force drives, are hard on an active set method. The levels
-    should end with one that decides everything. The certificate is the worst of all levels' own; a level
-    without a certified answer refuses the whole. The multipliers of the solution are the sums of all levels': not those
-    of one problem, but nonzero where a hard row bends any of them.
+    coincide, as the torques of two ankles that one internal force drives, are hard on an active set method. Where none
+    has, the level stays with what those above make of it: only the first can refuse the whole. The levels should end
+    with one that decides everything. The certificate is the worst of all levels' own. The multipliers of the solution
+    are the sums of all levels': not those of one problem, but nonzero where a hard row bends any of them.
     """
     free, worst, left = _Free(problem), Certificate(0.0, 0.0, 0.0), list[Array]()
     z = np.zeros(problem.lo.size)
@@ -127,15 +131,16 @@ def solve(
         return _refused(f"hard equalities contradict one another by {free.gap:.1e}"), left
     for number, rows in enumerate(levels):
         if free.Z.shape[1]:
-            for one, pull in ((one, pull) for one in solvers for pull in PULLS):
-                solution = _optimum(free, rows, pull, one, tolerance)
+            for (pull, room), one in product(TRIES, solvers):
+                solution = _optimum(free, rows, pull, room, one, tolerance)
                 if solution.accepted:
+                    worst = Certificate(*map(max, worst, solution.certificate))
+                    z += solution.z
+                    free.x = free.x + free.Z @ solution.x[: free.Z.shape[1]]
                     break
             else:
-                return _refused(f"level {number + 1}: {solution.reason}"), left
-            worst = Certificate(*map(max, worst, solution.certificate))
-            z += solution.z
-            free.x = free.x + free.Z @ solution.x[: free.Z.shape[1]]
+                if number == 0:
+                    return _refused(f"level 1: {solution.reason}"), left
         at = rows.A @ free.x
         off = np.where(at > rows.hi, at - rows.hi, np.where(at < rows.lo, at - rows.lo, 0.0))
         left.append(np.where(rows.lo == rows.hi, at - rows.lo, off))
@@ -150,7 +155,7 @@ def _refused(reason: str) -> Solution:
     return Solution(np.zeros(0), np.zeros(0), UNCERTIFIED, False, reason)
 
 
-def _optimum(free: _Free, rows: Level, pull: float, solver: Solver, tolerance: Certificate) -> Solution:
+def _optimum(free: _Free, rows: Level, pull: float, room: float, solver: Solver, tolerance: Certificate) -> Solution:
     """z, then the distances s of the intervals, at the optimum of one level.
 
     A level alone does not decide z: a proximal pull towards the last iterate makes each problem definite, and vanishes
@@ -165,7 +170,7 @@ def _optimum(free: _Free, rows: Level, pull: float, solver: Solver, tolerance: C
     H[d:, d:] = np.eye(soft.size)
     pull *= max(float(H.diagonal().max(initial=0.0)), 1e-12)
     H[np.arange(d), np.arange(d)] += pull
-    moves, binding, least, most = free.inequalities()
+    moves, binding, least, most = free.inequalities(room)
     m, total = len(binding), np.zeros(free.rows)
     if not m + soft.size:
         z = np.asarray(np.linalg.lstsq(B, r, rcond=None)[0], float)
