@@ -5,6 +5,14 @@ import pytest
 
 from wbc.robot import Robot
 
+LONG = ("test_tour.py", "test_specs.py", "test_response.py", "test_mutations.py")
+
+
+def pytest_collection_modifyitems(items):
+    """The longest tests first, so that no worker is left with one of them at the end."""
+    items.sort(key=lambda item: item.path.name not in LONG)
+
+
 LOADED = {
     "panda on the board": ("panda", "eraser", "board"),
     "panda": ("panda", None, None),
