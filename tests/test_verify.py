@@ -86,10 +86,10 @@ def test_other_arm_solver_and_gains(name, solver, changes):
     assert found.tolerance == TAU_ERROR[solver]
 
 
-@pytest.mark.parametrize("solver", ["daqp", "proxqp"])
 ELSEWHERE = ("eraser", "planar", "go2_stand", "g1_stand")  # tested above; with a floating base, in test_floating
 
 
+@pytest.mark.parametrize("solver", ["daqp", "proxqp"])
 @pytest.mark.parametrize("name", [name for name in shipped_names("tasks", ".yaml") if name not in ELSEWHERE])
 def test_every_spec_has_its_closed_form(name, solver):
     found = verify(short(name, 0.008), solver, states=12)
