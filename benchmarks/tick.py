@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 import wbc.controller
+import wbc.phase
 import wbc.solver
 from wbc.build import Built, build
 from wbc.controller import Controller
@@ -34,7 +35,7 @@ STAGES = {
     "contacts, wrenches": (Controller, "_read"),
     "rows": (Program, "costs"),
     "assembly": (Program, "assemble"),
-    "solve": (wbc.controller, "answer"),
+    "solve": (wbc.phase, "answer"),
     "certificate": (wbc.solver, "certify"),
     "decode": (Controller, "_accept"),
 }

@@ -159,10 +159,10 @@ def observed():
 
 
 def test_the_observer_is_the_lag_filtered_truth(observed):
-    """In each force along the axes of the task, at every tick after the push has begun."""
+    """In each force along the axes of the task, at every single tick; the summary tells it and the lag apart."""
     log = observed.log
     model, lag = errors(log["feel.felt"], log["feel.external"], 30.0, DT)
-    assert np.sqrt((model[1000:] ** 2).mean(axis=0)).max() <= bars.OBSERVER_ERROR
+    assert np.abs(model).max() <= bars.OBSERVER_ERROR
     assert np.abs(lag).max() > 5 * bars.OBSERVER_ERROR
     figures = observed.summary["metrics"]
     assert figures["feel.external.rms_error"] <= bars.OBSERVER_ERROR

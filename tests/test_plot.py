@@ -191,6 +191,13 @@ def test_the_error_is_framed_by_what_is_settled():
     assert -2 < low < 0 < 2 < high < 5  # [mN]
 
 
+def test_rounding_is_not_blown_up_to_look_like_chatter():
+    log = make_log(**{"board.lam": lambda i: np.array([0.0, 0.0, -10.0 + 1e-8 * (-1) ** i])})
+    low, high = panels(figure(log, make_summary(log)))["board error [N]"].get_ylim()
+    assert low <= -10.0  # [µN]
+    assert high >= 10.0
+
+
 def test_a_contact_without_a_target_has_no_error():
     log = make_log()
     del log._arrays["board.target"]

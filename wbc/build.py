@@ -16,7 +16,7 @@ from . import spec as specs
 from .analytic import damping_limit
 from .closing import CLOSED, Goal, close
 from .contact import Contact
-from .controller import Controller, Phase
+from .controller import Controller
 from .dynamics import mobility
 from .errors import did_you_mean
 from .exits import exit_of
@@ -29,6 +29,7 @@ from .limit import JointLimit, TorqueLimit, make_limits
 from .metrics import vocabulary
 from .model import open_welds
 from .names import check_names, load_robot
+from .phase import Phase, prioritised
 from .qp import Array
 from .robot import Robot
 from .sim import to_mujoco
@@ -194,12 +195,17 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
         geometry.faults.check()
     tasks = Tracking(geometry, contacts, references).tasks(q)
     check_felt(geometry, contacts, tasks)
-    weights = {task: geometry.spec.tasks[task].weight for task in tasks}
+    placed = {task: geometry.spec.tasks[task] for task in tasks}
+    weights, levels = prioritised(
+        {task: entry.weight for task, entry in placed.items()},
+        {task: entry.level for task, entry in placed.items()},
+        geometry.spec.hierarchy,
+    )
     poles, margins, most = _stability(geometry, contacts, tasks, q)
     torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
     exit_ = None if entry is None else exit_of(base, name, entry, follower, contacts, tasks, q)
     masses = _masses(geometry, contacts, tasks, q)
-    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_), poles, margins, most, masses)
+    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_, levels), poles, margins, most, masses)
 
 
 def _masses(

@@ -28,6 +28,11 @@ _SET = click.option(
 )
 _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, all else on stderr.")
 _SOLVER = click.option("--solver", metavar="NAME", help="QP solver: daqp, proxqp, or a backend of qpsolvers.")
+_HIERARCHY = click.option(
+    "--hierarchy",
+    type=click.Choice(["weighted", "strict"]),
+    help="How levels of tasks count; the spec's when left out.",
+)
 _SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all noise.")
 
 
@@ -43,6 +48,7 @@ def main() -> None:
 @click.option("--duration", type=float, metavar="S", help="Simulated seconds; the spec's own when left out.")
 @_SEED
 @_SOLVER
+@_HIERARCHY
 @_SET
 @click.option(
     "--out",
@@ -57,13 +63,14 @@ def run(
     duration: float | None,
     seed: int,
     solver: str | None,
+    hierarchy: str | None,
     overrides: tuple[str, ...],
     out: Path | None,
     as_json: bool,
 ) -> None:
     """Simulate SPEC (a shipped name or a file) and hold it against its bounds."""
     with _faults(spec, as_json):
-        loaded = _load(spec, overrides, solver, duration)
+        loaded = _load(spec, overrides, solver, duration, hierarchy)
         from .build import build
         from .run import run as simulate
 
@@ -168,10 +175,16 @@ def doctor(as_json: bool) -> None:
 _CHECK: dict[str, Any] = {"model_error": None, "feasible": False, "poles": []}
 
 
-def _load(spec: str, overrides: tuple[str, ...], solver: str | None = None, duration: float | None = None) -> Spec:
+def _load(
+    spec: str,
+    overrides: tuple[str, ...],
+    solver: str | None = None,
+    duration: float | None = None,
+    hierarchy: str | None = None,
+) -> Spec:
     from .spec import load
 
-    own = {"solver": solver, "duration": None if duration is None else repr(duration)}
+    own = {"solver": solver, "duration": None if duration is None else repr(duration), "hierarchy": hierarchy}
     return load(spec, (*overrides, *(f"{key}={value}" for key, value in own.items() if value is not None)))
 
 

@@ -21,7 +21,7 @@ from .kernels import torque
 from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State, Terms
-from .solver import DEFAULT, Solution, Solver, answer, make
+from .solver import DEFAULT, Solution, Solver, make
 from .task import ForceLoop
 from .transition import STOP, Change, Watch
 from .whole_body import WholeBodyProgram
@@ -104,6 +104,7 @@ class Controller:
         rate: float = 1000.0,
         phases: Sequence[Phase] | None = None,
         q: Array | None = None,
+        hierarchy: str = "weighted",
     ) -> None:
         self.robot, self.dt = robot, 1.0 / rate
         self._terms = Terms(robot)
@@ -113,7 +114,7 @@ class Controller:
         q = robot.keyframes["home"] if q is None else np.array(q, float)
         start = State(self._terms, q, np.zeros(robot.nv))
         if phases is None:
-            phases = [place(robot, contacts or {}, tasks or {}, limits or {})]
+            phases = [place(robot, contacts or {}, tasks or {}, limits or {}, hierarchy)]
         self.notes: list[str] = []
         program = WholeBodyProgram if robot.base else Program
         self._programs: list[Program] = [program(settle_posture(phase, start, self.notes), start) for phase in phases]
@@ -268,9 +269,9 @@ class Controller:
             memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
         if not program.assemble(state, tau_last, self.dt):
             return self._hold(program.last.fault())
-        solution = answer(self._solver, program.strict.problem)
+        solution = program.solve(self._solver)
         if not solution.accepted and program.relax(state):
-            solution = answer(self._second, program.last.problem)
+            solution = program.solve(self._second)
         if not solution.accepted:
             return self._hold(program.last.fault() or solution.reason)
         return self._accept(program, state, solution, tau_last, memory, t, refused, missed)

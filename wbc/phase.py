@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -16,14 +16,23 @@ from .centroidal import ComTask, WholeBodyPosture
 from .contact import Contact
 from .dynamics import fill, gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
+from .hierarchy import level
+from .hierarchy import solve as descend
 from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .robot import Robot, State
+from .solver import Solution, Solver, answer
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .transition import Exit
 
 _NO_METRIC = np.zeros((0, 0))
+Cost: TypeAlias = tuple[
+    Rows, float, int
+]  # rows, their weight, and the level at which they stand where priorities are strict
+HIERARCHIES = ("weighted", "strict")
+LEVEL_RATIO = 1e-3  # of the weights from one level to the next, where priorities are not strict
+LAST = 1_000_000  # the level of what decides only what no task does
 YIELD_WEIGHT = 1e6  # of joint viability, in ticks that have no answer otherwise
 
 
@@ -38,6 +47,7 @@ class Phase:
     joint: JointLimit | None
     name: str = ""
     exit: Exit | None = None
+    levels: Mapping[str, int] | None = None  # of the tasks, 1 first: strict priorities. None: the weights decide
 
     @cached_property
     def fed(self) -> tuple[str, ...]:
@@ -61,10 +71,28 @@ class Phase:
         return any(isinstance(task, ImpedanceTask) and task.gravity_only for task in self.compliant.values())
 
 
-def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any], limits: Mapping[str, Any]) -> Phase:
-    """A phase from what `Controller` is given: tasks, or pairs of a task and its weight. Raises WbcError."""
-    placed = {name: task if isinstance(task, tuple) else (task, 1.0) for name, task in tasks.items()}
-    for name, (task, _) in placed.items():
+def prioritised(
+    weights: Mapping[str, float], levels: Mapping[str, int], hierarchy: str
+) -> tuple[dict[str, float], dict[str, int] | None]:
+    """Weights and levels of a phase's tasks: strict levels, or all on one with every level a thousandth of the last."""
+    if hierarchy == "strict":
+        return dict(weights), dict(levels)
+    return {name: weight * LEVEL_RATIO ** (levels[name] - 1) for name, weight in weights.items()}, None
+
+
+def place(
+    robot: Robot,
+    contacts: Mapping[str, Contact],
+    tasks: Mapping[str, Any],
+    limits: Mapping[str, Any],
+    hierarchy: str = "weighted",
+) -> Phase:
+    """A phase from what `Controller` is given: tasks, or a task with its weight and level. Raises WbcError."""
+    if hierarchy not in HIERARCHIES:
+        raise LawError(f"hierarchy: expected one of {', '.join(HIERARCHIES)}, got {hierarchy!r}")
+    given = {name: task if isinstance(task, tuple) else (task,) for name, task in tasks.items()}
+    placed = {name: (*task, *(1.0, 1)[len(task) - 1 :]) for name, task in given.items()}
+    for name, (task, _, _) in placed.items():
         contact = getattr(task, "contact", None)
         if contact is not None and contact not in contacts:
             raise NameNotFound(f"contact (of task {name!r})", contact, contacts)
@@ -73,8 +101,13 @@ def place(robot: Robot, contacts: Mapping[str, Contact], tasks: Mapping[str, Any
             if shared not in contacts:
                 raise NameNotFound(f"contact (of task {name!r})", shared, contacts)
     torque, joint = make_limits(robot, limits)
-    weights = {name: float(weight) for name, (_, weight) in placed.items()}
-    return Phase(dict(contacts), {name: task for name, (task, _) in placed.items()}, weights, torque, joint)
+    weights, levels = prioritised(
+        {name: float(weight) for name, (_, weight, _) in placed.items()},
+        {name: int(level) for name, (_, _, level) in placed.items()},
+        hierarchy,
+    )
+    only = {name: task for name, (task, _, _) in placed.items()}
+    return Phase(dict(contacts), only, weights, torque, joint, levels=levels)
 
 
 def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
@@ -97,7 +130,9 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
         robot = start.robot
         still = WholeBodyPosture(start.q, 0.0, 10.0, robot.nu) if robot.base else PostureTask(start.q, 0.0, 10.0)
         tasks["self_motion"] = still
-    return replace(phase, tasks=tasks, weights={name: phase.weights.get(name, 1.0) for name in tasks})
+    weights = {name: phase.weights.get(name, 1.0) for name in tasks}
+    levels = phase.levels and {name: phase.levels.get(name, LAST) for name in tasks}
+    return replace(phase, tasks=tasks, weights=weights, levels=levels)
 
 
 def hold(state: State, phase: Phase) -> None:
@@ -162,7 +197,8 @@ class Program:
         # motion and posture of equal weight are one least squares problem in M
         self.merged: tuple[list[Any], PostureTask, float] | None = None
         compliant = bool(phase.compliant) and len(self.motion) + len(phase.compliant) == len(self.above)
-        if (self.single or compliant) and len(self.posture) == 1:
+        self.levels = dict.fromkeys(phase.tasks, 1) if phase.levels is None else phase.levels
+        if (self.single or compliant) and len(self.posture) == 1 and phase.levels is None:
             names = [*self.above, *self.posture]
             own = {type(phase.tasks[name]) for name in names} <= {
                 MotionTask,
@@ -189,7 +225,7 @@ class Program:
             joint = joint._replace(A={"vdot": None, "yield": None})
             self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, joint])
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
-        self._costs: list[tuple[Rows, float]] = []
+        self._costs: list[Cost] = []
         self._torque, self._joint = self.strict.stored["torque"], self.strict.stored.get("joint")
         self._hard: list[Rows] = []
         self.window: tuple[Array, Array] = (phase.torque.low, phase.torque.high)  # [N m] of the torque at this tick
@@ -262,33 +298,44 @@ class Program:
         spring = Rows("", {"yield": None}, zero, zero, np.diag(state.M.diagonal()))
         joint = self._hard[-1]._replace(A={"vdot": None, "yield": None})
         self.last = self.yielding
-        return _fill(self.yielding, [*self._costs, (spring, YIELD_WEIGHT)], [*self._hard[:-1], joint])
+        self._costs = [(spring, YIELD_WEIGHT, 0), *self._costs]
+        return _fill(self.yielding, self._costs, [*self._hard[:-1], joint])
 
-    def costs(self, state: State) -> list[tuple[Rows, float]]:
-        """Rows of all tasks with their weights."""
-        weights = self.phase.weights
+    def solve(self, solver: Solver) -> Solution:
+        """A certified answer of the last problem: of its one sum of costs, or level by level."""
+        if self.phase.levels is None:
+            return answer(solver, self.last.problem)
+        by_level = sorted({at for _, _, at in self._costs})
+        levels = [
+            level([(rows, w) for rows, w, at in self._costs if at == one], self.last.variables) for one in by_level
+        ]
+        return descend(self.last.problem, levels, solver)[0]
+
+    def costs(self, state: State) -> list[Cost]:
+        """Rows of all tasks with their weights and levels."""
+        weights, levels = self.phase.weights, self.levels
         if self.merged is not None:
             above, posture, weight = self.merged
             G, b = above[0].stack(state) if self.single else _stacked(state, above)
             rows, K = gauss(state, G, b, posture.acceleration(state))
             state.primary = (G, _NO_METRIC, K)
-            costs = [(rows, weight)]
+            costs = [(rows, weight, 1)]
         else:
-            costs = [(task.rows(state), weights[name]) for name, task in self.above.items()]
+            costs = [(task.rows(state), weights[name], levels[name]) for name, task in self.above.items()]
             if not self.single:
-                costs += self._stack(state, [rows for rows, _ in costs])
+                costs += self._stack(state, [rows for rows, _, _ in costs])
             for name, posture in self.posture.items():
-                costs.append((posture.rows(state), weights[name]))
+                costs.append((posture.rows(state), weights[name], levels[name]))
         for contact, held in state.contacts.items():
             if contact in self.force:
                 name, force = self.force[contact]
-                costs.append((force.rows(state), weights[name]))
+                costs.append((force.rows(state), weights[name], levels[name]))
             elif held.A.shape[0]:
                 zero = np.zeros(held.A.shape[0])
-                costs.append((Rows("", {contact: None}, zero, zero, mobility(state, held.G)), 1.0))
+                costs.append((Rows("", {contact: None}, zero, zero, mobility(state, held.G)), 1.0, LAST))
         return costs
 
-    def _stack(self, state: State, above: list[Rows]) -> list[tuple[Rows, float]]:
+    def _stack(self, state: State, above: list[Rows]) -> list[Cost]:
         """All that the posture stays out of, where it is more than one motion task; a cost that keeps H definite."""
         held = list(state.contacts.values())
         stack = [h.G for h in held] + [A for rows in above if (A := rows.A.get("vdot")) is not None]
@@ -303,7 +350,7 @@ class Program:
             return []
         # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
         rhs = np.concatenate([h.rhs for h in held])
-        return [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0)]
+        return [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0, LAST)]
 
     def names(self, z: Array, found: list[int], state: State, tau_last: Array, dt: float) -> tuple[str, ...]:
         """Names of active rows of the last problem, with which of two limits it is that binds."""
@@ -328,9 +375,9 @@ def _stacked(state: State, tasks: Sequence[Any]) -> tuple[Array, Array]:
     return G, np.concatenate([h.rhs for h in held] + [rhs for _, rhs in own])
 
 
-def _fill(workspace: Workspace, costs: Sequence[tuple[Rows, float]], hard: Sequence[Rows]) -> bool:
+def _fill(workspace: Workspace, costs: Sequence[Cost], hard: Sequence[Rows]) -> bool:
     workspace.clear()
-    for rows, weight in costs:
+    for rows, weight, _ in costs:
         workspace.minimise(rows, weight)
     for rows in hard:
         workspace.constrain(rows)

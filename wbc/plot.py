@@ -30,6 +30,7 @@ LEGEND: dict[str, Any] = {
     "handlelength": 1.2, "columnspacing": 1.0, "handletextpad": 0.4,
 }  # fmt: skip
 BLOCKS, JOINTS, LIMITS, CHECKS = 8, len(COLOURS), 8, 12  # the most of each that one picture shows
+ROUNDING = 1e-6  # of a target: errors below it are not blown up
 POINTS = 4000  # of one line; a longer one keeps the extremes of its stretches
 
 
@@ -167,7 +168,8 @@ def _error(ax: Axes, log: Log, contact: str, index: list[int], unit: str) -> Non
     rms = [_rms(column) for column in factor * error[settled].T]
     _axes(ax, "", log, told_of).set_ylabel(f"error\n[{prefix}{unit}]", size=8, color=INK)
     _lines(ax, log, factor * error, [f"{name} rms {value:.2g}" for name, value in zip(names, rms, strict=True)])
-    _window(ax, np.zeros(1), _known(factor * error[settled]), head=3.0)
+    least = factor * ROUNDING * np.abs(_known(log[told_of])).max()  # less than this is the simulator's own
+    _window(ax, np.array([-least, least]), _known(factor * error[settled]), head=3.0)
     _legend(ax, loc="upper right", ncols=3, borderaxespad=0.1)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from .centroidal import DistributionTask, WholeBodyPosture
 from .dynamics import inertia, mobility, torque_map
 from .errors import LawError
-from .phase import Phase, Program, hold
+from .phase import LAST, Cost, Phase, Program, hold
 from .qp import Array, Rows
 from .robot import State
 from .task import ForceTask, MotionTask, PostureTask, Task
@@ -46,7 +46,8 @@ class WholeBodyProgram(Program):
         own = (ForceTask, PostureTask, DistributionTask)
         self._tasks: dict[str, Task] = {n: t for n, t in phase.tasks.items() if not isinstance(t, own)}
         given = [(n, t) for n, t in phase.tasks.items() if isinstance(t, DistributionTask)]
-        self._sharing = [(t, phase.weights[n]) for n, t in given] or [(DistributionTask(), 1.0)]
+        levels = phase.levels or {}
+        self._sharing = [(t, phase.weights[n], levels.get(n, 1)) for n, t in given] or [(DistributionTask(), 1.0, LAST)]
         forced = {task.contact for task in phase.tasks.values() if isinstance(task, ForceTask)}
         self._sharers = [name for name, contact in phase.contacts.items() if contact.k and name not in forced]
         self._together: tuple[Array, Array] | None = None
@@ -99,8 +100,8 @@ class WholeBodyProgram(Program):
         base.lo[:] = base.hi[:] = -state.bias[:n]
         return [base, own]
 
-    def costs(self, state: State) -> list[tuple[Rows, float]]:
-        weights = self.phase.weights
+    def costs(self, state: State) -> list[Cost]:
+        weights, levels = self.phase.weights, self.levels
         G, rhs = self._together or self._independent(state)
         wanted = [(name, self._wanted(task, state)) for name, task in self._tasks.items()]
         stack = np.concatenate([G, *(A for _, rows in wanted if (A := rows.A.get("vdot")) is not None)])
@@ -109,7 +110,7 @@ class WholeBodyProgram(Program):
         k = start = len(G)
         W = inertia(K[:k, :k])
         # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
-        costs = [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0)] if self.rows else []
+        costs: list[Cost] = [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0, LAST)] if self.rows else []
         held = W.dot(K[:k, k:])  # M_C of the contacts times what the tasks' forces do to them
         for name, rows in wanted:
             if rows.A.get("vdot") is not None:
@@ -118,14 +119,14 @@ class WholeBodyProgram(Program):
                 if isinstance(self._tasks[name], MotionTask):
                     free = K[own, own] - K[:k, own].T.dot(held[:, own.start - k : own.stop - k])
                     rows = rows._replace(metric=inertia(free))
-            costs.append((rows, weights[name]))
+            costs.append((rows, weights[name], levels[name]))
         state.primary = (stack, inertia(K) if self.posture else _NO_METRIC, K)
         for name, posture in self.posture.items():
             known = (lifted,) if isinstance(posture, WholeBodyPosture) else ()
-            costs.append((posture.rows(state, *known), weights[name]))
-        costs += [(force.rows(state), weights[name]) for name, force in self.force.values()]
+            costs.append((posture.rows(state, *known), weights[name], levels[name]))
+        costs += [(force.rows(state), weights[name], levels[name]) for name, force in self.force.values()]
         if self._sharers:
-            costs += [(task.rows(state, self._sharers), weight) for task, weight in self._sharing]
+            costs += [(task.rows(state, self._sharers), weight, at) for task, weight, at in self._sharing]
         return costs
 
     @staticmethod

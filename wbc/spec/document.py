@@ -26,6 +26,7 @@ from .task import Task
 MAX_ENTRIES = 200
 Law = Literal["compensated", "book"]
 Gravity = Literal["controller", "robot"]
+Hierarchy = Literal["weighted", "strict"]
 _BY_NAME = (("references",), ("contacts",), ("tasks",), ("phases",))
 
 
@@ -39,6 +40,9 @@ class Spec(Model):
     rate: Number = Field(default=1000.0, ge=1, le=10_000, description="control rate [Hz]")
     duration: Positive = Field(default=5.0, le=3600, description="duration of a run [s]")
     law: Law = Field(default="compensated", description="compensated, or the book's law to the letter")
+    hierarchy: Hierarchy = Field(
+        default="weighted", description="strict levels of tasks, or weights alone: each level a thousandth of the last"
+    )
     gravity: Gravity = Field(default="controller", description="who adds the torque against gravity")
     start: Pose | None = Field(default=None, description="keyframe or joint positions to start from [rad]; else home")
     tare: Annotated[bool, Strict()] = Field(

@@ -14,7 +14,13 @@ Error = Literal["log", "split"]
 _ERROR = "pose error: the SE(3) log of the book, or split into rotation and translation, which moves in straight lines"
 
 
-class ForceTask(Model):
+class Placed(Model):
+    """Where a task stands among the others."""
+
+    level: int = Field(default=1, ge=1, le=20, strict=True, description="priority: 1 comes first, see `hierarchy`")
+
+
+class ForceTask(Placed):
     """Track the wrench of a contact: feed-forward, proportional, integral, damping along the constrained axes."""
 
     hints: ClassVar[Mapping[str, str]] = {"target": "the desired wrench stands in the contact's `artificial`"}
@@ -33,7 +39,7 @@ class ForceTask(Model):
     )
 
 
-class MotionTask(Model):
+class MotionTask(Placed):
     """Track a motion: along the free axes of a contact, or of a frame."""
 
     type: Literal["motion"] = Field(description="motion")
@@ -54,7 +60,7 @@ class MotionTask(Model):
                 yield (key,), "is missing; expected a `contact`, or a `frame` and a `target`"
 
 
-class _Compliance(Model):
+class _Compliance(Placed):
     """A mass, spring and damper between a frame and its reference: M xdd_e + B xd_e + K x_e = f_ext."""
 
     contact: Text | None = Field(default=None, description="the contact along whose free axes it is felt")
@@ -147,7 +153,7 @@ def _any(gain: Any) -> bool:
     return any(map(_any, gain)) if isinstance(gain, tuple) else gain != 0
 
 
-class PostureTask(Model):
+class PostureTask(Placed):
     """Track joint positions in what the other tasks leave free."""
 
     type: Literal["posture"] = Field(description="posture")
@@ -178,7 +184,7 @@ class Over(Model):
             yield ("over",), "expected a share above 0, got none"
 
 
-class ComTask(Model):
+class ComTask(Placed):
     """Hold or move the centre of mass."""
 
     type: Literal["com"] = Field(description="com")
@@ -196,7 +202,7 @@ class ComTask(Model):
         return self.target if isinstance(self.target, str) and self.target != "start" else None
 
 
-class DistributionTask(Model):
+class DistributionTask(Placed):
     """Share what the motion needs among the contacts."""
 
     type: Literal["distribution"] = Field(description="distribution")
