@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_floating import DOWN, FREE, contacts_of, first_tick, tasks_of
@@ -9,7 +11,7 @@ from test_floating import DOWN, FREE, contacts_of, first_tick, tasks_of
 from wbc.build import build
 from wbc.centroidal import DistributionTask, mass
 from wbc.check import check
-from wbc.contact import Settling
+from wbc.contact import AxesContact, Settling
 from wbc.controller import Controller, Status
 from wbc.errors import LawError, NameNotFound, SpecError, StateError
 from wbc.foot import RoundFoot
@@ -20,8 +22,10 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.sim import Simulator
 from wbc.spec import load
-from wbc.task import MotionTask
+from wbc.task import ForceTask, MotionTask
+from wbc.transition import after
 from wbc.whole_body import WholeBodyProgram
+from wbc.wrench import Wrench
 
 CORNERS = tuple(f"{side}_{corner}" for side in ("left", "right") for corner in ("a", "b", "c", "d"))
 
@@ -39,8 +43,6 @@ def cornered():
         composed.spec.body(f"{side}_ankle_roll_link").add_site(name=name, pos=[x, y, -0.035])
     mj = models.compile_model(composed.spec)
     plain = Robot.load("g1", scene="floor")
-    from dataclasses import replace
-
     return replace(plain, model=models.pinocchio_model(mj), mujoco=mj, plant=mj)
 
 
@@ -215,6 +217,35 @@ class TestTheLadder:
         tasks = {"share": DistributionTask({"FL_fot": 1.0})}
         with pytest.raises(NameNotFound, match="did you mean 'FL_foot'"):
             Controller(go2, contacts_of(go2), tasks, q=go2.keyframes["home"])
+
+
+class TestPhases:
+    def test_a_hand_that_begins_to_press_asks_first_for_what_is_there(self, g1):
+        """A force loop under way on a floating base: its first command is what the last torque presses with."""
+        q = g1.keyframes["home"]
+        feet, hand = contacts_of(g1), AxesContact("left_palm", ("vz",))
+        press = ForceTask("hand", hand, np.array([-15.0]), kp=0.3, ki=10.0)
+        tasks = tasks_of(g1, q)
+        first, second = (
+            replace(place(g1, contacts, more, {"torque_rate": None}), name=name)
+            for name, contacts, more in (
+                ("stand", feet, tasks),
+                ("wipe", feet | {"hand": hand}, tasks | {"press": press}),
+            )
+        )
+        first = replace(first, exit=after(0.002, "wipe"))
+        controller = Controller(g1, phases=[first, second], q=q)
+        v = np.zeros(35)
+        controller.reset(q, v)
+        felt = Wrench(np.array([0.0, 0.0, 0.0, 0.0, 0.0, -3.0]), "left_palm")
+        told = [controller.step(1e-3 * i, q, v, measured={"hand": felt}) for i in range(4)]
+        assert all(out.status in (Status.OK, Status.LIMITED) for out in told), [out.reason for out in told]
+        assert controller.phase.name == "wipe"
+        jump = np.abs(told[2].tau - told[1].tau).max()
+        assert jump < 1.0  # N m, while the hand goes from free to pressed
+        for _ in range(300):
+            out = controller.step(controller.memory.t + 1e-3, q, v, measured={"hand": felt})
+        assert out.wrenches["hand"][5] < -15.0  # it integrates towards what is missing
 
 
 # --- figures, of runs from specs ---

@@ -142,9 +142,10 @@ class WholeBodyPosture(PostureTask):
         kernels.spring(self._K, self.q[7:], state.q[7:], state.v[6:], vdot[6:])
         return vdot
 
-    def rows(self, state: State) -> Rows:
+    def rows(self, state: State, lifted: Array | None = None) -> Rows:
+        """`lifted` (nv, m): M^-1 G', where it is known already."""
         G, W, _ = state.primary
         vdot = self.acceleration(state)
-        N = np.eye(vdot.size) - state.solve_M(G.T).dot(W.dot(G))
+        N = np.eye(vdot.size) - (state.solve_M(G.T) if lifted is None else lifted).dot(W.dot(G))
         D = self._share * state.M
         return Rows("", {"vdot": None}, vdot, vdot, N.T.dot(D).dot(N))

@@ -79,7 +79,8 @@ class Contact(ABC):
     `feedforward`: "measured" counts the part of the measured wrench that the constraint does not cause (friction, the
     load of a hinge) as known; "modelled" counts the drag of sliding friction into the contact's own wrench; "none"
     leaves it to the feedback. `pushes`: the direction in which it only pushes, and friction across it. `settling`: what
-    it does about motion against it, by default nothing.
+    it does about motion against it, by default nothing. `steady`: its multipliers are forces along axes of its own, so
+    that their cone never changes.
     """
 
     frame: str
@@ -87,6 +88,7 @@ class Contact(ABC):
     feedforward: str = "none"
     pushes: Unilateral | None = None
     settling: Settling | None = None
+    steady = False
 
     @abstractmethod
     def A(self, state: State) -> Array:

@@ -283,7 +283,8 @@ class Controller:
         state.contacts = {}
         hold(state, after.phase)
         carry(state, after.phase)
-        starts, loops = hand_over(before, after, state, memory.starts, memory.loops, after.phase.torque.inside(tau))
+        tau = np.concatenate((np.zeros(self.robot.base), after.phase.torque.inside(tau)))  # of all velocities
+        starts, loops = hand_over(before, after, state, memory.starts, memory.loops, tau)
         why = _told(before.phase, change)
         felt = {name: memory.felt[name] for name in after.phase.compliant if name in memory.felt}
         return memory._replace(

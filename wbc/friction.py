@@ -83,6 +83,7 @@ class Unilateral:
         self._least = np.concatenate(([least], np.zeros(len(cone))))
         self._most = np.full(1 + len(cone), np.inf)
         self._lifted = False
+        self._kept: Cone | None = None  # of a contact whose cone never changes
 
     @property
     def faces(self) -> int:
@@ -100,9 +101,12 @@ class Unilateral:
         self, contact: Contact, state: State, A: Array, G: Array, inverse: Array
     ) -> tuple[Array, Array, Cone | None]:
         """B' (k, 6), B' J (k, nv) and the cone of a contact at a tick, from A, A J and (A')^+."""
+        if contact.steady and self._kept is not None:
+            return A, G, None if self._lifted else self._kept
         d, held, slides = self.turned(contact, state)
         cone = None if self._lifted else self._cone(d, held, A, inverse)
         if not self.modelled:
+            self._kept = cone if contact.steady else None
             return A, G, cone
         frame = state.frame(contact.frame)
         B = sliding_map(A, d, self.direction(state, frame, slides).dot(slides), self.mu).T

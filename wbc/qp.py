@@ -191,6 +191,9 @@ class Workspace:
             if A is None:
                 add_square(metric, target, weight, self._H[name, name], self._g[name])
                 return
+        if len(coefficients) > 2:
+            self._minimise_jointly(coefficients, target, metric, weight)
+            return
         weighted = {}
         for name, A in coefficients.items():
             if A is None:
@@ -204,6 +207,19 @@ class Workspace:
             for other, A in coefficients.items():
                 H = self._H[other, name]
                 H += WA if A is None else A.T.dot(WA)
+
+    def _minimise_jointly(
+        self, coefficients: Mapping[str, Array | None], target: Array, metric: Array | None, weight: float
+    ) -> None:
+        """The same over many variables: one product for all of them."""
+        n, m = self.variables.size, target.size
+        A = np.zeros((m, n))
+        for name, block in coefficients.items():
+            A[:, self.variables[name]] = np.eye(m) if block is None else block
+        WA = (A if metric is None else metric.dot(A)) * weight
+        g, H = self.problem.g, self.problem.H
+        g -= target.dot(WA)
+        H += A.T.dot(WA)
 
     def constrain(self, rows: Rows) -> None:
         """Put a hard block in its place."""

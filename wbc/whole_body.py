@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .centroidal import DistributionTask
+from .centroidal import DistributionTask, WholeBodyPosture
 from .dynamics import inertia, mobility, torque_map
 from .errors import LawError
 from .phase import LAST, Cost, Phase, Program, hold
@@ -50,7 +50,7 @@ class WholeBodyProgram(Program):
         self._sharing = [(t, phase.weights[n], levels.get(n, 1)) for n, t in given] or [(DistributionTask(), 1.0, LAST)]
         forced = {task.contact for task in phase.tasks.values() if isinstance(task, ForceTask)}
         self._sharers = [name for name, contact in phase.contacts.items() if contact.k and name not in forced]
-        self._together: tuple[Array, Array, Array] | None = None
+        self._together: tuple[Array, Array] | None = None
         super().__init__(phase, start)
         self._together = None
 
@@ -63,19 +63,17 @@ class WholeBodyProgram(Program):
         self._together = self._independent(state)
         return super().assemble(state, tau_last, dt)
 
-    def _independent(self, state: State) -> tuple[Array, Array, Array]:
-        """Independent rows G vdot = rhs of all contacts, and their inertia."""
+    def _independent(self, state: State) -> tuple[Array, Array]:
+        """Independent rows G vdot = rhs of all contacts."""
         held = list(state.contacts.values())
-        n = state.v.size
         if not self.rows:
-            return np.zeros((0, n)), np.zeros(0), np.zeros((0, 0))
+            return np.zeros((0, state.v.size)), np.zeros(0)
         G, rhs = np.concatenate([h.G for h in held]), np.concatenate([h.rhs for h in held])
-        K = mobility(state, G)
         if not self.redundant:
-            return G, rhs, inertia(K)
-        values, vectors = np.linalg.eigh(K)
+            return G, rhs
+        values, vectors = np.linalg.eigh(mobility(state, G))
         U = vectors[:, -self.rank :] / np.sqrt(values[-self.rank :])
-        return U.T.dot(G), U.T.dot(rhs), np.eye(self.rank)
+        return U.T.dot(G), U.T.dot(rhs)
 
     def _contact_rows(self, state: State) -> list[Rows]:
         return self._merged(state) if self.redundant else super()._contact_rows(state)
@@ -84,7 +82,7 @@ class WholeBodyProgram(Program):
         return self._merged(state) if self.redundant else super()._held(state)
 
     def _merged(self, state: State) -> list[Rows]:
-        G, rhs, _ = self._together or self._independent(state)
+        G, rhs = self._together or self._independent(state)
         return [Rows("contacts", {"vdot": G}, rhs, rhs)]
 
     def _dynamic_rows(self, state: State) -> list[Rows]:
@@ -104,16 +102,18 @@ class WholeBodyProgram(Program):
 
     def costs(self, state: State) -> list[Cost]:
         weights, levels = self.phase.weights, self.levels
-        G, rhs, W = self._together or self._independent(state)
-        # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
-        costs: list[Cost] = [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0, LAST)] if self.rows else []
+        G, rhs = self._together or self._independent(state)
         wanted = [(name, self._wanted(task, state)) for name, task in self._tasks.items()]
         stack = np.concatenate([G, *(A for _, rows in wanted if (A := rows.A.get("vdot")) is not None)])
-        K = mobility(state, stack)
+        lifted = state.solve_M(stack.T)
+        K = stack.dot(lifted)
         k = start = len(G)
+        W = inertia(K[:k, :k])
+        # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
+        costs: list[Cost] = [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0, LAST)] if self.rows else []
         held = W.dot(K[:k, k:])  # M_C of the contacts times what the tasks' forces do to them
         for name, rows in wanted:
-            if "vdot" in rows.A:
+            if rows.A.get("vdot") is not None:
                 own = slice(start, start + rows.lo.size)
                 start = own.stop
                 if isinstance(self._tasks[name], MotionTask):
@@ -121,7 +121,9 @@ class WholeBodyProgram(Program):
                     rows = rows._replace(metric=inertia(free))
             costs.append((rows, weights[name], levels[name]))
         state.primary = (stack, inertia(K) if self.posture else _NO_METRIC, K)
-        costs += [(posture.rows(state), weights[name], levels[name]) for name, posture in self.posture.items()]
+        for name, posture in self.posture.items():
+            known = (lifted,) if isinstance(posture, WholeBodyPosture) else ()
+            costs.append((posture.rows(state, *known), weights[name], levels[name]))
         costs += [(force.rows(state), weights[name], levels[name]) for name, force in self.force.values()]
         if self._sharers:
             costs += [(task.rows(state, self._sharers), weight, at) for task, weight, at in self._sharing]
