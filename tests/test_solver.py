@@ -314,3 +314,20 @@ def test_make_knows_every_installed_solver():
 def test_make_says_what_is_wrong(solver, message):
     with pytest.raises(SolverError, match=message):
         make(solver)
+
+
+def test_daqp_sees_what_is_filled_in_where_it_stood(rng):
+    """One problem object, new numbers in its arrays: the answer is that of a new solver, bit for bit."""
+    n, m, n_eq = 6, 5, 2
+    stack = np.zeros((n + m, n))
+    problem = Problem(stack[:n], np.zeros(n), stack[n:], np.zeros(n + m), np.zeros(n + m), n_eq, stack)
+    kept = make("daqp")
+    for _ in range(50):
+        A = rng.normal(size=(n, n))
+        problem.H[:], problem.g[:], problem.C[:] = A @ A.T + np.eye(n), rng.normal(size=n), rng.normal(size=(m, n))
+        x = 0.3 * rng.normal(size=n)
+        at = np.concatenate((x, problem.C @ x))
+        problem.lo[:], problem.hi[:] = at - rng.random(n + m), at + rng.random(n + m)
+        problem.lo[n : n + n_eq] = problem.hi[n : n + n_eq] = at[n : n + n_eq]
+        for ours, fresh in zip(kept.solve(problem), make("daqp").solve(problem.copy()), strict=True):
+            np.testing.assert_array_equal(ours, fresh)

@@ -98,27 +98,30 @@ class Daqp:
         self._sense: Any = None
 
     def solve(self, problem: Problem) -> tuple[Array, Array]:
-        H, g, C, lo, hi, n_eq, _ = problem
-        if problem is not self._problem and (g.size, lo.size, n_eq) != self._shape:
-            self._setup(problem)
-        elif (flag := self._model.update(H, g, C, hi, lo, self._sense)) < 0:
+        if problem is self._problem:  # the model reads the arrays where they stand: H alone says that all are new
+            flag = self._model.update(problem.H, None, None, None, None, self._sense)
+        elif (problem.g.size, problem.lo.size, problem.n_eq) != self._shape:
+            flag = self._setup(problem)
+        else:
+            flag = self._model.update(problem.H, problem.g, problem.C, problem.hi, problem.lo, self._sense)
+        if flag < 0:
             raise self._failed(flag)
-        self._problem = problem
+        if problem is not self._problem:  # an array that it had to copy it would not see change
+            self._problem = problem if all(each.flags.c_contiguous for each in problem[:5]) else None
         x, _, flag, info = self._model.solve()
         if flag < 1:
             raise self._failed(flag)
         return x, info["lam"]
 
-    def _setup(self, problem: Problem) -> None:
+    def _setup(self, problem: Problem) -> int:
         n, size, n_eq = shape = problem.g.size, problem.lo.size, problem.n_eq
         self._sense = np.zeros(size, dtype=np.int32)
         self._sense[n : n + n_eq] = 5  # an equality, always active
         self._model = self._Model()
         self._model.settings = self._settings
         flag, _ = self._model.setup(problem.H, problem.g, problem.C, problem.hi, problem.lo, self._sense)
-        if flag < 0:
-            raise self._failed(flag)
         self._shape = shape
+        return int(flag)
 
     def _failed(self, flag: int) -> SolverError:
         self._problem = self._shape = None  # whatever the model holds now, the next call gets a new one

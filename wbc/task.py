@@ -222,6 +222,7 @@ class ForceTask:
         self.K_damp = gain_matrix(damping, k, "damping")
         self._K, self._brakes = np.hstack((self.Kp, self.Ki)), -self.K_damp if self.K_damp.any() else None
         self.filter, self.integral_limit = filter, integral_limit
+        self._smoothed = (-1.0, 1.0)  # the last dt and its alpha
         self.axes = held_by.axes
 
     def _gain(self, K: Any, k: int, name: str) -> Array:
@@ -235,7 +236,11 @@ class ForceTask:
 
     def smoothing(self, dt: float) -> float:
         """alpha of the first-order filter s += alpha (F - s)."""
-        return 1.0 if self.filter is None else 1.0 - math.exp(-2.0 * math.pi * self.filter * dt)
+        if self.filter is None:
+            return 1.0
+        if dt != self._smoothed[0]:  # one exponential a change of dt
+            self._smoothed = (dt, 1.0 - math.exp(-2.0 * math.pi * self.filter * dt))
+        return self._smoothed[1]
 
     def desired(self, state: State) -> Array:
         """(k,) lambda_d, with what `targets` overrides."""
