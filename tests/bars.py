@@ -94,8 +94,43 @@ SPECS: dict[str, dict[str, float]] = {
         "weight.rest.error": 1e-6,
         "joint.max_excess": 0,
     },
+    **{
+        name: {
+            "balance.position.rms_error": most,
+            **{f"{foot}.slip": 2e-4 for foot in ("left_foot", "right_foot")},
+            **{f"{foot}.cone.max_excess": 1e-6 for foot in ("left_foot", "right_foot")},
+            **{f"{foot}.motion.error": 5e-3 for foot in ("left_foot", "right_foot")},  # of m g
+            "joint.max_excess": 0,
+        }
+        for name, most in (("g1_sway", 1e-3), ("g1_squat", 1.5e-3))  # by 4 cm to either side; 12 cm down and up
+    },
+    "go2_step": {  # each foot in turn 5 cm ahead
+        **{f"{foot}_swing.landing": 2e-3 for foot in ("FL", "FR", "RL", "RR")},  # [m]
+        **{f"{foot}.slip": 1e-3 for foot in ("FL", "FR", "RL", "RR")},
+        **{f"{foot}.cone.max_asked": 1e-6 for foot in ("FL", "FR", "RL", "RR")},
+        "torque_rate.max": 1500.001,  # 1.5 N m a tick, and rounding
+        "joint.max_excess": 0,
+    },
+    **{
+        name: {  # 0.1 s: 12 and 13 N s sideways; survival is defined in the README
+            "base.tilt.max": tilt,  # [deg]
+            "base.drop": 0.05,  # [m]
+            "recovery": 2.0,  # [s]
+            **{f"{foot}.back": 1.0 for foot in feet},  # [s]
+            **{f"{foot}.unnoticed": 0.02 for foot in feet},  # [s]
+            **{f"{foot}.cone.max_asked": 1e-6 for foot in feet},
+            "joint.max_excess": 0,
+        }
+        for name, tilt, feet in (
+            ("go2_push", 10.0, ("FL", "FR", "RL", "RR")),
+            ("g1_push", 30.0, ("left_foot", "right_foot")),
+        )
+    },
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
 }
+
+# pushes of 0.1 s that are survived in eight directions: N s forwards and backwards, sideways; between them an ellipse
+PUSHES = {"go2_push": (16.0, 12.0), "g1_push": (8.0, 13.0)}
 
 # every run, whatever its spec says
 ALWAYS = {"torque.max_excess": 1e-6, "torque_rate.max_excess": 1e-3, "ticks.degraded": 0}

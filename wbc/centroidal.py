@@ -22,6 +22,7 @@ from .robot import State
 from .task import PostureTask
 
 BASE_SHARE = 1e-3  # what a posture's base weighs against its joints
+FADE = 0.5  # [s] in which contacts change what they share
 SOLE_RADIUS = 0.05  # [m] at which a moment of a contact weighs as much as a force
 
 
@@ -41,20 +42,30 @@ def com(state: State) -> tuple[Array, Array, Array]:
     return data.com[0], data.Jcom, drift
 
 
+def middle(state: State, shares: Mapping[str, float]) -> Array:
+    """(3,) the point between frames, by their shares of one [m]."""
+    return np.asarray(sum(share * state.frame(frame).T.translation for frame, share in shares.items()))
+
+
 class ComTask:
     """The centre of mass c on its path: cddot = cddot_d + kp (c_d - c) + kd (cdot_d - cdot) along the world's axes.
 
     Parameters: `path` (t -> Sample, whose origin is c_d in the world); `kp` [1/s^2], `kd` [1/s]: numbers, vectors over
-    (x, y, z) or matrices. The metric is the mass: the cost is that of the force which is missing.
+    (x, y, z) or matrices. `over`: frame -> share of one: where the task begins while the robot moves, the path is
+    shifted so that it starts over their middle as they stand then. The metric is the mass: the cost is that of the
+    force which is missing.
     """
 
-    def __init__(self, path: Reference, kp: Any = 40.0, kd: Any = 12.0) -> None:
-        self.path = path
+    def __init__(
+        self, path: Reference, kp: Any = 40.0, kd: Any = 12.0, over: Mapping[str, float] | None = None
+    ) -> None:
+        self.path, self.over = path, dict(over or {})
         self.Kp, self.Kd = gain_matrix(kp, 3, "kp"), gain_matrix(kd, 3, "kd")
 
     def desired(self, state: State) -> tuple[Array, Array, Array]:
         """(3,) c_d, its velocity and its acceleration in the world."""
-        sample = self.path(state.since(self))
+        start = state.starts.get(self)
+        sample = self.path(state.t) if start is None else start.sample(self.path, state.t)
         R, (w, v), (_, vdot) = sample.T.rotation, sample.V.reshape(2, 3), sample.Vdot.reshape(2, 3)
         return sample.T.translation, R.dot(v), R.dot(vdot + pin.skew(w).dot(v))
 
@@ -80,6 +91,8 @@ class DistributionTask:
     in the metric W: 1 for a force, 1/r^2 for a moment, r = `SOLE_RADIUS`, over the mass. At rest that is the static
     distribution. As w is that of the very motion, the cost is zero while no inequality is active and competes with no
     task; a cost that drew lambda towards zero, or towards the weight alone, would bend the motion.
+    Where the task begins while the robot stands, lambda_0 leads from what the contacts carried then to what is asked
+    for, within `FADE`: the contacts take up and lay down their loads without a step.
     `shares`: contact -> share of the weight [1] that lambda_0 presses with; where nothing is given lambda_0 is zero.
     """
 
@@ -92,6 +105,8 @@ class DistributionTask:
         """Rows over `vdot` and the multipliers; `among`: the contacts that share, by default all."""
         base, contacts, names = state.robot.base, state.contacts, list(among if among is not None else state.contacts)
         push = {name: held.push[:, :base].T for name, held in contacts.items()}
+        begun = state.starts.get(self)
+        fade = 1.0 if begun is None else min(max((state.t - begun.t) / FADE, 0.0), 1.0)
         P = np.concatenate([push[name] for name in names], axis=1)  # (6, k)
         weight, lam = np.empty(P.shape[1]), np.zeros(P.shape[1])
         A: dict[str, Array | None] = {}
@@ -104,7 +119,9 @@ class DistributionTask:
             weight[own] = 1.0 / (np.square(held.A) @ _SCALE)
             if share := self.shares.get(name, 0.0):
                 f = share * mass(state) * state.frame(held.frame).T.rotation.T.dot(state.robot.model.gravity.linear)
-                lam[own] = held.inverse[:, 3:].dot(f)
+                lam[own] = fade * held.inverse[:, 3:].dot(f)
+            if begun is not None and fade < 1.0 and (before := begun.loads.get(name)) is not None:
+                lam[own] += (1.0 - fade) * before
             A[name] = np.eye(P.shape[1])[:, own]
             start += k
         D = (P / weight).T.dot(inertia((P / weight).dot(P.T)))

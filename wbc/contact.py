@@ -18,6 +18,7 @@ import pinocchio as pin
 
 from . import kernels
 from .errors import WrenchError
+from .footing import Footing
 from .friction import Cone, Unilateral
 from .qp import Array, Rows
 from .robot import State
@@ -35,8 +36,8 @@ class Held:
     frame; `stack` (6, nv) and `bias` (6,): what they ask of vdot when the free ones do not accelerate, G and rhs first;
     `slip` (k,): A V, zero while the contact holds; `B` (k, 6) is B': the wrench of the robot on its environment is
     B lambda, A' lambda where friction is not modelled; `push` (k, nv): B' J, so that the torque of the multipliers is
-    push' lambda; `cone`: inequalities on them, where the contact only pushes. Its arrays are filled again at the next
-    tick.
+    push' lambda; `cone`: inequalities on them, where the contact only pushes; `lifted`: it is in the air, carries
+    nothing and goes back down. Its arrays are filled again at the next tick.
     """
 
     A: Array
@@ -46,6 +47,7 @@ class Held:
     B: Array
     push: Array
     cone: Cone | None
+    lifted: bool = False
 
     def __init__(self, frame: str, n: int, k: int, rows: int) -> None:
         self.frame, self.table, self.bias = frame, np.empty((rows, n + 2)), np.empty(rows)
@@ -79,8 +81,8 @@ class Contact(ABC):
     `feedforward`: "measured" counts the part of the measured wrench that the constraint does not cause (friction, the
     load of a hinge) as known; "modelled" counts the drag of sliding friction into the contact's own wrench; "none"
     leaves it to the feedback. `pushes`: the direction in which it only pushes, and friction across it. `settling`: what
-    it does about motion against it, by default nothing. `steady`: its multipliers are forces along axes of its own, so
-    that their cone never changes.
+    it does about motion against it, by default nothing. `footing`: the plane it stands on, off which it carries
+    nothing. `steady`: its multipliers are forces along axes of its own, so that their cone never changes.
     """
 
     frame: str
@@ -88,6 +90,7 @@ class Contact(ABC):
     feedforward: str = "none"
     pushes: Unilateral | None = None
     settling: Settling | None = None
+    footing: Footing | None = None
     steady = False
 
     @abstractmethod
@@ -142,7 +145,12 @@ class Contact(ABC):
         kernels.select(basis, state.frame(self.frame).table, held.table, held.bias)
         if Adot_V is not None:
             held.rhs -= Adot_V
-        if self.settling is not None:
+        if self.footing is not None:
+            frame = state.frame(self.frame)
+            held.lifted = self.footing.lifted(frame)
+        if held.lifted:
+            held.rhs -= self.footing.asked(A, frame)  # type: ignore[union-attr]
+        elif self.settling is not None:
             held.rhs -= self.settling.asked(held.slip)
         held.A, held.Adot_V, held.free, held.inverse = A, Adot_V, free, inverse
         if self.pushes is None:

@@ -284,7 +284,7 @@ class Controller:
         hold(state, after.phase)
         carry(state, after.phase)
         tau = np.concatenate((np.zeros(self.robot.base), after.phase.torque.inside(tau)))  # of all velocities
-        starts, loops = hand_over(before, after, state, memory.starts, memory.loops, tau)
+        starts, loops = hand_over(before, after, state, memory.starts, memory.loops, tau, memory.lam)
         why = _told(before.phase, change)
         felt = {name: memory.felt[name] for name in after.phase.compliant if name in memory.felt}
         return memory._replace(

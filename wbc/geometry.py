@@ -13,11 +13,12 @@ import pinocchio as pin
 
 from . import quantity
 from . import spec as specs
-from .centroidal import com
+from .centroidal import com, middle
 from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, Settling, SphereContact, WorldAxesContact
 from .faults import Faults, Place
 from .foot import RoundFoot
+from .footing import Footing
 from .friction import unilateral
 from .names import MOVING
 from .qp import Array
@@ -63,6 +64,7 @@ class Geometry:
                 contacts[name].feedforward = entry.feedforward
                 rate = entry.settling if entry.settling is not None else SETTLING if self.robot.base else 0.0
                 contacts[name].settling = Settling(rate) if rate else None
+                contacts[name].footing = self._footing(name, entry)
             if name in contacts and entry.push is not None:
                 self._push(name, entry, entry.push, contacts[name], q)
         references: dict[str, Reference] = {}
@@ -125,9 +127,7 @@ class Geometry:
         state = self.robot.state(q, np.zeros(self.robot.nv))
         here = pin.SE3(np.eye(3), com(state)[0].copy())
         if isinstance(entry.target, specs.Over):
-            shares = entry.target.shares
-            middle = sum(share * state.frame(contacts[each].frame).T.translation for each, share in shares.items())
-            here.translation = np.array([*middle[:2], here.translation[2]])
+            here.translation = np.array([*middle(state, self.over(entry))[:2], here.translation[2]])
         if entry.reference is None:
             return Hold(here)
         along = components(self.spec.references[entry.reference])
@@ -135,6 +135,13 @@ class Geometry:
             message = f"a centre of mass does not turn; expected a reference without {', '.join(turns)}"
             self.faults.add(("tasks", name, "target"), message)
         return self._path(entry.reference, here, ("tasks", name, "target"))
+
+    def over(self, entry: specs.ComTask) -> dict[str, float]:
+        """Frame -> share of the contacts over which a task wants the centre of mass; none where it is elsewhere."""
+        if not isinstance(entry.target, specs.Over):
+            return {}
+        contacts = self.spec.contacts
+        return {contacts[name].frame: share for name, share in entry.target.shares.items() if share}
 
     def _check_axes(self, frame: str, axes: Sequence[str], path: Place) -> None:
         able = [VELOCITY_AXES[i] for i in self.robot.axes(frame)]
@@ -159,6 +166,16 @@ class Geometry:
             return contact.ground
         held = contact.on is not None or name in self.robot.frames or contact.push is None or contact.kind != "holds"
         return FLOOR if self.robot.base and not held and FLOOR in self.robot.frames else None
+
+    def _footing(self, name: str, entry: specs.Contact) -> Footing | None:
+        """What a foot of a robot with a floating base stands on; None of what is held in another way."""
+        ground = self._ground(name, entry)
+        point = set(entry.constrained) == {"vx", "vy", "vz"}
+        if ground is None or not self.robot.base or not (point or entry.sole):
+            return None
+        plane = self.robot.fixed_pose(ground)
+        n = plane.rotation[:, 2]
+        return Footing(n, float(n @ plane.translation), entry.radius or 0.0, entry.sole)
 
     def _standing(self, name: str, plane: pin.SE3, q: Array) -> Goal:
         """That a contact's frame comes to stand on a plane: at its height, a sole with its z along the plane's."""

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from .centroidal import ComTask, DistributionTask, com, middle
 from .dynamics import reaction
 from .phase import Program
 from .qp import Array
@@ -23,6 +24,7 @@ from .task import ForceLoop, ForceTask, Task
 
 FADE = 0.5  # [s] in which what was between the robot and its reference fades out, or longer:
 FADE_SPEED, FADE_TURN = 0.1, 0.5  # [m/s], [rad/s] no faster than this
+SHARING = "distribution"  # of the contacts, where no task says it
 NOTHING = 1e-9  # [m, rad, m/s, rad/s] of difference
 _ORDER = [3, 4, 5, 0, 1, 2]
 _SLOPE = 1.875  # the largest of a quintic from 0 to 1
@@ -41,6 +43,7 @@ class Start(NamedTuple):
     offset: pin.SE3 | None = None
     screws: Array | None = None
     fade: float = 0.0  # [s]
+    loads: Mapping[str, Array] = {}  # multipliers that the contacts had, of what shares them from now on
 
     def sample(self, reference: Reference, t: float) -> Sample:
         """What is followed at time t [s]."""
@@ -66,9 +69,12 @@ class Start(NamedTuple):
         return advanced(self.screws[1], *b, advanced(self.screws[0], *a, sample))
 
 
-def take_up(reference: Reference, t: float, T: pin.SE3, V: Array) -> Start:
-    """The start at time t [s] of a reference that a frame at pose T with body twist V (6,) takes up."""
-    start = _placed(reference, T)._replace(t=t)
+def take_up(reference: Reference, t: float, T: pin.SE3, V: Array, start: Start | None = None) -> Start:
+    """The start at time t [s] of a reference that a frame at pose T with body twist V (6,) takes up.
+
+    `start`: where the reference is shifted to; by default where it says that it has no place of its own.
+    """
+    start = (_placed(reference, T) if start is None else start)._replace(t=t)
     desired = start.sample(reference, t)
     X = desired.T.actInv(T)
     pose, twist = _vector(X), V - seen_from(X, desired.motion)[:, 0]
@@ -76,6 +82,17 @@ def take_up(reference: Reference, t: float, T: pin.SE3, V: Array) -> Start:
         return start
     far = max(float(np.linalg.norm(pose[3:])) / FADE_SPEED, float(np.linalg.norm(pose[:3])) / FADE_TURN)
     return start._replace(screws=np.array([pose, twist]), fade=max(FADE, _SLOPE * far))
+
+
+def _com_taken_up(task: ComTask, state: State) -> Start:
+    """The start of a path of the centre of mass, over the contacts as they stand now."""
+    c, J, _ = com(state)
+    T, V = pin.SE3(np.eye(3), c.copy()), np.concatenate((np.zeros(3), J.dot(state.v)))
+    if not task.over:
+        return take_up(task.path, state.t, T, V)
+    away = middle(state, task.over) - task.path(0.0).T.translation
+    away[2] = 0.0
+    return take_up(task.path, state.t, T, V, Start(shift=_unless_nothing(pin.SE3(np.eye(3), away))))
 
 
 def _placed(reference: Reference, T: pin.SE3) -> Start:
@@ -110,21 +127,26 @@ def hand_over(
     starts: Mapping[str, Start],
     loops: Mapping[str, ForceLoop],
     tau: Array,
+    lam: Mapping[str, Array] | None = None,
 ) -> tuple[dict[str, Start], dict[str, ForceLoop]]:
     """Starts by task and force loops by contact of the phase that begins.
 
-    `state` has the contacts of the new phase, and the wrenches measured; `tau` (nv,) is the last torque [N m].
+    `state` has the contacts of the new phase, and the wrenches measured; `tau` (nv,) is the last torque [N m],
+    `lam` the last multipliers by contact.
     """
     begun: dict[str, Start] = {}
     for name, task in after.phase.tasks.items():
         if _goes_on(before.phase.tasks.get(name), task, before.phase.contacts):
             if name in starts:
                 begun[name] = starts[name]
+        elif isinstance(task, ComTask):
+            begun[name] = _com_taken_up(task, state)
         elif (reference := getattr(task, "reference", None)) is not None:
             frame = state.frame(task.frame)  # type: ignore[attr-defined]
             begun[name] = take_up(reference, state.t, frame.T, frame.V)
         else:
-            begun[name] = Start(state.t)
+            begun[name] = Start(state.t, loads=lam or {})
+    begun[SHARING] = Start(state.t, loads=lam or {})
     state.starts = after.named(begun)
     kept = {name: loop for name, loop in loops.items() if name in before.phase.contacts and name in after.force}
     lam = reaction(state, tau) if set(after.force) - set(kept) else {}
@@ -143,6 +165,10 @@ def _goes_on(old: Task | None, task: Task, contacts: Mapping[str, object]) -> bo
         return False
     if isinstance(task, ForceTask):
         return task.contact in contacts and getattr(old, "contact", None) == task.contact
+    if isinstance(task, ComTask):
+        return getattr(old, "path", None) is task.path and getattr(old, "over", None) == task.over
+    if isinstance(task, DistributionTask):
+        return False  # the contacts may be others
     reference = getattr(task, "reference", None)
     return reference is None or (
         getattr(old, "reference", None) is reference and getattr(old, "frame", "") == getattr(task, "frame", "")

@@ -78,7 +78,7 @@ def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
                 names += [
                     f"{name}.{screw}.{figure}" for screw in _screws(task) for figure in ("rms_error", "max_error")
                 ]
-    return sorted({*names, *stance.names(phases)})
+    return sorted({*names, *stance.names(phases, plant)})
 
 
 _MOTION = (

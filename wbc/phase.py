@@ -288,8 +288,12 @@ class Program:
 
     def _cones(self, state: State) -> list[Rows]:
         """Inequalities of the contacts that only push."""
-        cones = ((name, pushes, state.contacts[name].cone) for name, pushes in self.pushing.items())
-        return [pushes.rows(name, cone) for name, pushes, cone in cones if cone is not None]
+        held = ((name, pushes, state.contacts[name]) for name, pushes in self.pushing.items())
+        return [
+            pushes.idle(name, each.cone) if each.lifted else pushes.rows(name, each.cone)
+            for name, pushes, each in held
+            if each.cone is not None
+        ]
 
     def relax(self, state: State) -> bool:
         """The problem with joint viability yielding; dynamics, torque and rate never do. False without joint limits."""
@@ -356,7 +360,8 @@ class Program:
     def names(self, z: Array, found: list[int], state: State, tau_last: Array, dt: float) -> tuple[str, ...]:
         """Names of active rows of the last problem, with which of two limits it is that binds."""
         joints = state.robot.joints
-        names = [f"{name}.{state.loops[name].cut}" for name in self.pushing if state.loops[name].cut]
+        names = [f"{name}.lifted" for name in self.pushing if state.contacts[name].lifted]
+        names += [f"{name}.{state.loops[name].cut}" for name in self.pushing if state.loops[name].cut]
         for i in found:
             label = self.last.labels[i]
             kind, _, joint = label[:-1].partition("[")

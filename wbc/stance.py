@@ -5,7 +5,16 @@
     CONTACT.cone.max_excess               how far the true wrench was beyond the controller's cone [N, N m]
     CONTACT.cone.max_asked                the same of the predicted wrench [N, N m]
     CONTACT.rest.error                    predicted wrench against the true one at rest, over m g [1, m]
+    CONTACT.motion.error                  the same at every tick after `settle`, whatever moves [1, m]
     weight.rest.error                     sum of the predicted vertical forces against m g at rest, relative [1]
+
+    CONTACT.unnoticed                     longest time for which the controller counted on a contact without force [s]
+    TASK.landing                          of a motion that ends where its frame becomes a contact: distance across the
+                                          floor from where that was to be, the farthest of all landings [m]
+    base.tilt.max, base.drop              largest angle of the base from that of the start [deg], its way down [m]
+  of a robot that is pushed, after the end of the last push:
+    CONTACT.back                          when a contact that had lost its force has it back for good [s]
+    recovery                              from when on it is at rest: no velocity exceeds `RECOVERED` [s]
 
 At rest is where no velocity exceeds `REST` after `settle`. Slip is that of the robot's material points where they
 touch, less that of what they touch: a foot that rolls does not slip. All are true, of every tick.
@@ -22,6 +31,7 @@ import numpy as np
 from .centroidal import ComTask, mass
 from .log import Log
 from .qp import Array
+from .task import MotionTask
 
 if TYPE_CHECKING:
     from .contact import Contact
@@ -29,6 +39,8 @@ if TYPE_CHECKING:
     from .sim import Simulator
 
 REST = 1e-5  # [rad/s, m/s] largest velocity at rest
+RECOVERED = 0.02  # [rad/s, m/s] the same after a push
+COUNTED = 0.01  # of m g: with more the controller counts on a contact
 
 
 def record(
@@ -51,6 +63,7 @@ def record(
             continue
         true, asked = log[f"{name}.true"][-1], out.wrenches[name]
         carried += state.frame(held.frame).T.rotation @ asked[3:]
+        row[f"{name}.unnoticed"] = float(not true.any() and float(np.linalg.norm(asked[3:])) > COUNTED * weight)
         row[f"{name}.unforeseen"] = np.abs(asked - true).max() / weight
         if held.cone is not None:
             for which, F in (("excess", true), ("asked_excess", asked)):
@@ -61,15 +74,17 @@ def record(
     log.put(**row)
 
 
-def names(phases: Sequence[Any]) -> list[str]:
-    """Every figure of a run of these phases."""
-    found = ["weight.rest.error"]
+def names(phases: Sequence[Any], plant: Any = None) -> list[str]:
+    """Every figure of a run of these phases, under what the plant does to them."""
+    pushed, landings = plant is not None and bool(plant.pushes), [f"{name}.landing" for name in _landings(phases)]
+    found = ["weight.rest.error", "base.tilt.max", "base.drop", *(["recovery"] if pushed else []), *landings]
     for phase in phases:
         for name, task in phase.tasks.items():
             if isinstance(task, ComTask):
                 found += [f"{name}.position.{figure}" for figure in ("rms_error", "max_error")]
         for name, contact in phase.contacts.items():
-            found += [f"{name}.{figure}" for figure in ("slip", "rest.error")]
+            found += [f"{name}.{figure}" for figure in ("slip", "rest.error", "motion.error", "unnoticed")]
+            found += [f"{name}.back"] if pushed else []
             if contact.pushes is not None:
                 found += [f"{name}.cone.{figure}" for figure in ("max_excess", "max_asked")]
     return found
@@ -94,10 +109,79 @@ def figures(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         out[f"{name}.slip"] = _farthest(log[f"{name}.way"], late)
         if f"{name}.unforeseen" in log:
             out[f"{name}.rest.error"] = _largest(log[f"{name}.unforeseen"][late & resting])
+            out[f"{name}.unnoticed"] = _longest(log[f"{name}.unnoticed"] > 0.0) * log.meta["dt"]
+            out[f"{name}.motion.error"] = _largest(log[f"{name}.unforeseen"][late])
         if f"{name}.excess" in log:
             out[f"{name}.cone.max_excess"] = float(np.nanmax(log[f"{name}.excess"], initial=0.0))
             out[f"{name}.cone.max_asked"] = float(np.nanmax(log[f"{name}.asked_excess"], initial=0.0))
+    return (
+        out
+        | _upright(log)
+        | _landed(log, phases)
+        | _recovered(log, [name for name in _contacts(phases) if f"{name}.way" in log])
+    )
+
+
+def _contacts(phases: Sequence[Any]) -> list[str]:
+    """All contacts of these phases."""
+    return sorted({name for phase in phases for name in phase.contacts})
+
+
+def _landings(phases: Sequence[Any]) -> dict[str, Array]:
+    """Motion -> (phases, phases) whether going from one to the other lands its frame."""
+    found: dict[str, Array] = {}
+    for i, before in enumerate(phases):
+        for j, after in enumerate(phases):
+            new = {c.frame for name, c in after.contacts.items() if name not in before.contacts and c.footing}
+            for name, task in before.tasks.items():
+                if isinstance(task, MotionTask) and task.frame in new and name not in after.tasks:
+                    found.setdefault(name, np.zeros((len(phases), len(phases)), bool))[i, j] = True
+    return found
+
+
+def _landed(log: Log, phases: Sequence[Any]) -> dict[str, float]:
+    """Where motions land; a motion that never does has no figure."""
+    phase, out = log["phase"].astype(int), dict[str, float]()
+    for name, lands in _landings(phases).items():
+        last = np.flatnonzero(lands[phase[:-1], phase[1:]])
+        if last.size:
+            away = log[f"{name}.position"][last] - log[f"{name}.desired"][last]
+            out[f"{name}.landing"] = float(np.linalg.norm(away[:, :2], axis=1).max())
     return out
+
+
+def _upright(log: Log) -> dict[str, float]:
+    """How far the base is tilted from where it starts, whichever way it heads, and how far it sinks."""
+    x, y, z, w = log["q"][:, 3:7].T
+    up = np.column_stack((2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)))  # R' z
+    height = log["q"][:, 2]
+    angle = np.arctan2(np.linalg.norm(np.cross(up, up[0]), axis=1), up @ up[0])
+    return {"base.tilt.max": float(np.degrees(angle.max())), "base.drop": float(max(0.0, height[0] - height.min()))}
+
+
+def _recovered(log: Log, contacts: Sequence[str]) -> dict[str, float]:
+    """How long it takes until all is as before the pushes; nothing where that does not come."""
+    ends = [push["to"] for push in log.meta.get("pushes", {}).values()]
+    if not ends or None in ends or max(ends) > log["t"][-1]:
+        return {}
+    after = log["t"] - max(ends)
+    still = {"recovery": np.abs(log["v"]).max(axis=1) < RECOVERED}
+    still |= {f"{name}.back": log[f"{name}.true"].any(axis=1) for name in contacts}
+    return {name: _since(after, on) for name, on in still.items()}
+
+
+def _since(t: Array, on: Any) -> float:
+    """From when on it is so for good; 0 where it always is, not a number where it is not at the end."""
+    never = np.flatnonzero(~on & (t >= 0.0))
+    if not on[-1]:
+        return math.nan
+    return float(t[never[-1] + 1]) if never.size else 0.0
+
+
+def _longest(on: Any) -> int:
+    """The most ticks in a row."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], on.astype(int), [0]))))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def _largest(values: Array) -> float:

@@ -47,7 +47,9 @@ class Tracking:
                     tasks[name] = self._compliance(name, entry)
                 elif isinstance(entry, specs.ComTask):
                     kp, kd = (self._gain(entry, name, key, ("x", "y", "z")) for key in ("kp", "kd"))
-                    tasks[name] = ComTask(self.geometry.com_path(name, entry, self.contacts, q), kp, kd)
+                    tasks[name] = ComTask(
+                        self.geometry.com_path(name, entry, self.contacts, q), kp, kd, self.geometry.over(entry)
+                    )
                 elif isinstance(entry, specs.DistributionTask):
                     tasks[name] = self._distribution(name, entry)
                 else:

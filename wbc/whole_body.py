@@ -12,13 +12,15 @@ start, and is told in `notes`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from .centroidal import DistributionTask, WholeBodyPosture
+from .centroidal import DistributionTask, WholeBodyPosture, mass
 from .dynamics import inertia, mobility, torque_map
 from .errors import LawError
+from .handover import SHARING
 from .phase import LAST, Cost, Phase, Program, hold
 from .qp import Array, Rows
 from .robot import State
@@ -53,6 +55,14 @@ class WholeBodyProgram(Program):
         self._together: tuple[Array, Array] | None = None
         super().__init__(phase, start)
         self._together = None
+
+    def named(self, starts: Mapping[str, Any]) -> Mapping[Any, Any]:
+        if starts is not self._starts[0]:
+            super().named(starts)
+            if SHARING in starts:
+                own = {task: starts[SHARING] for task, _, _ in self._sharing if task not in self._starts[1]}
+                self._starts = (starts, {**self._starts[1], **own})
+        return self._starts[1]
 
     @property
     def redundant(self) -> bool:
@@ -126,7 +136,10 @@ class WholeBodyProgram(Program):
             costs.append((posture.rows(state, *known), weights[name], levels[name]))
         costs += [(force.rows(state), weights[name], levels[name]) for name, force in self.force.values()]
         if self._sharers:
-            costs += [(task.rows(state, self._sharers), weight, at) for task, weight, at in self._sharing]
+            standing = [name for name in self._sharers if not state.contacts[name].lifted]
+            if standing:
+                costs += [(task.rows(state, standing), weight, at) for task, weight, at in self._sharing]
+            costs += [(_nothing(state, name), 1.0, LAST) for name in self._sharers if name not in standing]
         return costs
 
     @staticmethod
@@ -151,6 +164,12 @@ class WholeBodyProgram(Program):
                 tau = tau + held.push.T.dot(rows.lo[start : start + k])
                 start += k
         return np.asarray(tau[base:])
+
+
+def _nothing(state: State, name: str) -> Rows:
+    """The cost of the multipliers of a contact in the air, which its cone makes zero."""
+    zero = np.zeros(state.contacts[name].A.shape[0])
+    return Rows("", {name: None}, zero, zero, np.eye(zero.size) / mass(state))
 
 
 def _split(rows: Array, n: int, base: Any, joints: Any) -> None:

@@ -1,0 +1,102 @@
+"""Feet that leave the floor: how high they are, that they carry nothing then and come back down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from test_floating import first_tick
+
+from wbc.build import build
+from wbc.centroidal import com, mass
+from wbc.controller import Status
+from wbc.footing import LIFTED, Footing
+from wbc.spec import load
+
+BENT = {
+    "FL": {"FL_calf_joint": -0.1},
+    "left_foot": {"left_hip_pitch_joint": -0.2, "left_knee_joint": 0.4, "left_ankle_pitch_joint": -0.2},
+}
+
+
+class _At:
+    """A frame at a pose."""
+
+    def __init__(self, T):
+        self.T = T
+
+
+@pytest.fixture(scope="module")
+def stands():
+    return {name: build(load(name)) for name in ("go2_stand", "g1_stand")}
+
+
+class TestHeight:
+    def test_of_a_sole_is_that_of_its_lowest_corner(self, rng):
+        n = np.array([0.1, -0.2, 0.97])
+        n /= np.linalg.norm(n)
+        footing = Footing(n, 0.3, size=(0.17, 0.05))
+        corners = np.array([(x, y, 0.0) for x in (-0.085, 0.085) for y in (-0.025, 0.025)])
+        for _ in range(20):
+            T = pin.SE3.Random()
+            heights = [n @ (T * corner) - 0.3 for corner in corners]
+            assert footing.height(_At(T)) == pytest.approx(min(heights), abs=1e-12)
+
+    def test_of_a_round_foot_is_less_its_radius(self):
+        footing = Footing(np.array([0.0, 0.0, 1.0]), 0.1, 0.022)
+        T = pin.SE3(pin.exp3(np.array([1.0, 2.0, 3.0])), np.array([5.0, 6.0, 0.4]))
+        assert footing.height(_At(T)) == pytest.approx(0.4 - 0.1 - 0.022)
+
+    def test_the_way_down_turns_a_sole_flat(self):
+        """Followed for a second it brings any tilted sole flat, whichever way it heads."""
+        n = np.array([0.0, 0.0, 1.0])
+        footing = Footing(n, 0.0, size=(0.2, 0.1))
+        T = pin.SE3(pin.exp3(np.array([0.3, -0.2, 1.0])), np.array([0.0, 0.0, 0.1]))
+        for _ in range(1000):
+            V = footing.down(_At(T))
+            T = T * pin.exp6(pin.Motion(V[3:], V[:3]) * 1e-3)
+        assert T.rotation[2, 2] == pytest.approx(1.0, abs=1e-4)
+        assert T.translation[2] < 0.05
+
+
+class TestInTheAir:
+    @pytest.mark.parametrize(("name", "foot", "solver"), [
+        ("go2_stand", "FL", "daqp"), ("go2_stand", "FL", "proxqp"), ("g1_stand", "left_foot", "daqp"),
+        ("g1_stand", "left_foot", "proxqp"),
+    ])  # fmt: skip
+    def test_it_carries_nothing_and_comes_down_while_the_others_go_on(self, name, foot, solver):
+        built = build(load(name, [f"solver={solver}", "limits.torque_rate=1e6"]))
+        robot, q = built.robot, built.q.copy()
+        for joint, angle in BENT[foot].items():
+            q[7 + robot.joints.index(joint)] += angle
+        out, state = first_tick(built.controller, q, np.zeros(robot.nv))
+        held = state.contacts[foot]
+        assert held.lifted
+        assert f"{foot}.lifted" in out.active
+        assert out.status is Status.LIMITED
+        np.testing.assert_allclose(out.wrenches[foot], 0.0, atol=1e-6)
+        frame = state.frame(held.frame)
+        down = (frame.T.rotation @ (frame.J @ out.vdot + frame.drift)[3:])[2]
+        assert down < -0.5
+        up = -sum(
+            (state.frame(built.phases[0].contacts[n].frame).T.rotation @ F[3:])[2] for n, F in out.wrenches.items()
+        )
+        _, J, drift = com(state)
+        assert up == pytest.approx(mass(state) * (9.81 + (J @ out.vdot + drift)[2]), rel=1e-6)
+
+    def test_within_the_softness_of_the_floor_it_stands(self, stands):
+        built = stands["go2_stand"]
+        q = built.q.copy()
+        for away, lifted in ((0.9 * LIFTED, False), (1.1 * LIFTED, True)):
+            q[2] = built.q[2] + away
+            _, state = first_tick(built.controller, q, np.zeros(18))
+            assert {held.lifted for held in state.contacts.values()} == {lifted}
+
+    def test_with_all_feet_in_the_air_it_falls_with_g(self):
+        built = build(load("go2_stand", ["limits.torque_rate=1e6"]))
+        q = built.q.copy()
+        q[2] += 0.1
+        out, state = first_tick(built.controller, q, np.zeros(18))
+        assert out.status is Status.LIMITED
+        _, J, drift = com(state)
+        np.testing.assert_allclose(J @ out.vdot + drift, [0.0, 0.0, -9.81], atol=1e-6)

@@ -1,0 +1,55 @@
+"""Whether a foot stands: how far it is above its plane, and how it goes back down where it has left it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .qp import Array
+
+if TYPE_CHECKING:
+    from .robot import Frame
+
+LIFTED = 5e-4  # [m] above its plane from which a foot carries nothing
+RATE, MOST = 20.0, 20.0  # [1/s], [m/s^2, rad/s^2] of the way down
+SLOWEST, FASTEST, SLOWING = 0.05, 0.3, 5.0  # [m/s], [m/s], [1/s] speed of the way down, by the height left
+FLATTEN = 5.0  # [1/s] with which a sole turns flat
+
+
+class Footing:
+    """What a foot stands on, and with what: a plane with the unit normal n (world), and a sphere or a rectangle.
+
+    Parameters: `normal` (3,) and the height `level` of the plane, n . p = level [m]; `radius` of a round foot about the
+    origin of its frame, or the `size` of a sole in the plane z = 0 of its frame, along x and y [m].
+    """
+
+    def __init__(self, normal: Array, level: float, radius: float = 0.0, size: tuple[float, float] | None = None):
+        self.normal, self.level, self.radius = np.array(normal, float), float(level), radius
+        self.size = size
+
+    def height(self, frame: Frame) -> float:
+        """How far the lowest point of the foot is above the plane [m]."""
+        height = float(self.normal.dot(frame.T.translation)) - self.level - self.radius
+        if self.size is None:
+            return height
+        a = frame.T.rotation.T.dot(self.normal)  # corner points: a . (+-l/2, +-w/2, 0), the lowest of them
+        return height - 0.5 * (abs(float(a[0])) * self.size[0] + abs(float(a[1])) * self.size[1])
+
+    def lifted(self, frame: Frame) -> bool:
+        return self.height(frame) > LIFTED
+
+    def down(self, frame: Frame) -> Array:
+        """(6,) twist of the frame with which it goes back to the plane: straight down, and a sole turning flat."""
+        n = frame.T.rotation.T.dot(self.normal)
+        speed = min(max(SLOWING * self.height(frame), SLOWEST), FASTEST)
+        V = np.zeros(6)
+        V[3:] = -speed * n
+        if self.size is not None:
+            z = 1.0 if n[2] > 0.0 else -1.0
+            V[:3] = FLATTEN * np.array((-z * n[1], z * n[0], 0.0))  # z x n: turns z into n
+        return V
+
+    def asked(self, A: Array, frame: Frame) -> Array:
+        """(k,) c of A Vdot + Adot V = -c, with which a lifted foot comes down."""
+        return np.clip(RATE * A.dot(frame.V - self.down(frame)), -MOST, MOST)
