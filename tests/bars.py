@@ -117,7 +117,7 @@ SPECS: dict[str, dict[str, float]] = {
             "base.drop": 0.05,  # [m]
             "recovery": 2.0,  # [s]
             **{f"{foot}.back": 1.0 for foot in feet},  # [s]
-            **{f"{foot}.unnoticed": 0.02 for foot in feet},  # [s]
+            **{f"{foot}.unnoticed": 0.05 for foot in feet},  # [s]
             **{f"{foot}.cone.max_asked": 1e-6 for foot in feet},
             "joint.max_excess": 0,
         }

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from test_floating import first_tick
+from test_floating import contacts_of, first_tick
 
 from wbc.build import build
-from wbc.centroidal import com, mass
+from wbc.centroidal import FADE, DistributionTask, com, mass
 from wbc.controller import Status
 from wbc.footing import LIFTED, Footing
+from wbc.handover import Start
 from wbc.spec import load
 
 BENT = {
@@ -100,3 +101,42 @@ class TestInTheAir:
         assert out.status is Status.LIMITED
         _, J, drift = com(state)
         np.testing.assert_allclose(J @ out.vdot + drift, [0.0, 0.0, -9.81], atol=1e-6)
+
+
+class TestChangingHands:
+    """From one phase of `go2_step` to the next."""
+
+    def test_loads_and_the_centre_of_mass_lead_from_what_is_to_what_is_asked_for(self):
+        built = build(load("go2_step"))
+        robot, controller, q = built.robot, built.controller, built.q
+        controller.reset(q, np.zeros(robot.nv))
+        before = controller.step(0.0, q, np.zeros(robot.nv))
+        after = controller.step(0.2, q, np.zeros(robot.nv))
+        assert controller.phase.name == "unload_FL"
+        for name, F in before.wrenches.items():
+            np.testing.assert_allclose(after.wrenches[name], F, atol=2.0)  # of 38; the old task pulled by 0.7 mm
+        np.testing.assert_allclose(after.tau, before.tau, atol=0.3)
+        balance = controller.phase.tasks["balance"]
+        wanted, velocity, _ = balance.desired(controller.state)
+        np.testing.assert_allclose(wanted, com(controller.state)[0], atol=1e-9)
+        np.testing.assert_allclose(velocity, 0.0, atol=1e-9)
+        controller.step(1.3, q, np.zeros(robot.nv))
+        place = sum(
+            share * controller.state.frame(f"{foot}_foot").T.translation[:2]
+            for foot, share in (("FR", 0.4), ("RL", 0.4), ("RR", 0.2))
+        )
+        np.testing.assert_allclose(balance.desired(controller.state)[0][:2], place, atol=1e-9)
+
+    def test_shares_are_taken_up_within_their_time(self, go2):
+        state = go2.state(go2.keyframes["home"], np.zeros(18))
+        for name, contact in contacts_of(go2).items():
+            state.contacts[name] = contact.hold(state)
+        task, weight = DistributionTask({"FL_foot": 1.0}), mass(state) * 9.81
+        names = list(state.contacts)
+        even = DistributionTask().rows(state).lo
+        loads = dict(zip(names, np.split(even, len(names)), strict=True))
+        wanted = task.rows(state).lo
+        assert np.abs(wanted - even).max() > 0.05 * weight
+        for t, share in ((0.0, 0.0), (0.5 * FADE, 0.5), (FADE, 1.0), (2.0 * FADE, 1.0)):
+            state.t, state.starts = t, {task: Start(0.0, loads=loads)}
+            np.testing.assert_allclose(task.rows(state).lo, (1 - share) * even + share * wanted, atol=1e-9 * weight)

@@ -10,7 +10,7 @@
 
     CONTACT.unnoticed                     longest time for which the controller counted on a contact without force [s]
     TASK.landing                          of a motion that ends where its frame becomes a contact: distance across the
-                                          floor from where that was to be, the farthest of all landings [m]
+                                          floor, at the first force, from where it was to end, the farthest [m]
     base.tilt.max, base.drop              largest angle of the base from that of the start [deg], its way down [m]
   of a robot that is pushed, after the end of the last push:
     CONTACT.back                          when a contact that had lost its force has it back for good [s]
@@ -57,6 +57,7 @@ def record(
     for name, contact in contacts.items():
         speeds = simulator.true_slip(contact.frame)
         past = log[f"{name}.way"][-2] if f"{name}.way" in log and log.size > 1 else np.zeros(speeds.shape)
+        row[f"{name}.place"] = state.frame(contact.frame).T.translation
         row[f"{name}.way"] = past + dt * speeds
         held = state.contacts.get(name)
         if held is None or name not in out.wrenches:
@@ -127,26 +128,33 @@ def _contacts(phases: Sequence[Any]) -> list[str]:
     return sorted({name for phase in phases for name in phase.contacts})
 
 
-def _landings(phases: Sequence[Any]) -> dict[str, Array]:
-    """Motion -> (phases, phases) whether going from one to the other lands its frame."""
-    found: dict[str, Array] = {}
+def _landings(phases: Sequence[Any]) -> dict[str, tuple[str, Array]]:
+    """Motion -> the contact that its frame becomes, (phases, phases) whether it does from one to the other."""
+    found: dict[str, tuple[str, Array]] = {}
     for i, before in enumerate(phases):
         for j, after in enumerate(phases):
-            new = {c.frame for name, c in after.contacts.items() if name not in before.contacts and c.footing}
+            new = {c.frame: n for n, c in after.contacts.items() if n not in before.contacts and c.footing}
             for name, task in before.tasks.items():
                 if isinstance(task, MotionTask) and task.frame in new and name not in after.tasks:
-                    found.setdefault(name, np.zeros((len(phases), len(phases)), bool))[i, j] = True
+                    nowhere = np.zeros((len(phases), len(phases)), bool)
+                    found.setdefault(name, (new[task.frame], nowhere))[1][i, j] = True
     return found
 
 
 def _landed(log: Log, phases: Sequence[Any]) -> dict[str, float]:
-    """Where motions land; a motion that never does has no figure."""
+    """Where motions land, at the first force; what never touches the floor has no figure."""
     phase, out = log["phase"].astype(int), dict[str, float]()
-    for name, lands in _landings(phases).items():
-        last = np.flatnonzero(lands[phase[:-1], phase[1:]])
-        if last.size:
-            away = log[f"{name}.position"][last] - log[f"{name}.desired"][last]
-            out[f"{name}.landing"] = float(np.linalg.norm(away[:, :2], axis=1).max())
+    for name, (contact, lands) in _landings(phases).items():
+        if f"{contact}.place" not in log:
+            continue
+        touching = np.flatnonzero(log[f"{contact}.true"].any(axis=1))
+        away = []
+        for last in np.flatnonzero(lands[phase[:-1], phase[1:]]):
+            touched = touching[touching > last][:1]
+            here = log[f"{contact}.place"][touched[0]] if touched.size else np.full(3, np.nan)
+            away.append(float(np.linalg.norm((here - log[f"{name}.desired"][last])[:2])))
+        if away:
+            out[f"{name}.landing"] = float(np.max(away))
     return out
 
 
