@@ -146,7 +146,8 @@ def hand_over(
             begun[name] = take_up(reference, state.t, frame.T, frame.V)
         else:
             begun[name] = Start(state.t, loads=lam or {})
-    begun[SHARING] = Start(state.t, loads=lam or {})
+    if state.robot.base:
+        begun[SHARING] = Start(state.t, loads=lam or {})
     state.starts = after.named(begun)
     kept = {name: loop for name, loop in loops.items() if name in before.phase.contacts and name in after.force}
     lam = reaction(state, tau) if set(after.force) - set(kept) else {}
