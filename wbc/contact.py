@@ -46,11 +46,20 @@ class Held:
     B: Array
     push: Array
     cone: Cone | None
+    _lift: Array
 
     def __init__(self, frame: str, n: int, k: int, rows: int) -> None:
         self.frame, self.table, self.bias = frame, np.empty((rows, n + 2)), np.empty(rows)
         self.stack, self.G, self.rhs = self.table[:, :n], self.table[:k, :n], self.bias[:k]
         self.slip = self.table[:k, n + 1]
+        self._lifted: Array | None = None  # the free rows that `_lift` is of
+
+    @property
+    def lift(self) -> Array:
+        """(6, 6 - k) pseudo-inverse of the free rows."""
+        if self._lifted is not self.free:
+            self._lifted, self._lift = self.free, np.asarray(np.linalg.pinv(self.free), float)
+        return self._lift
 
     def unconstrained(self, F: Array) -> Array:
         """(6,) the part of a wrench that the constraint does not cause: F - A' (A')^+ F."""

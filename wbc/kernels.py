@@ -188,35 +188,81 @@ def log(R: Array, p: Array, X: Array) -> None:
     _log(R, p, X)
 
 
-@_compiled(types.void, _m, _v, _v, _m, _v, _m, _m, _V)
-def computed_torque(R: Array, p: Array, V: Array, R_d: Array, p_d: Array, motion: Array, K: Array, y: Array) -> None:
-    """y = Ad Vdot_d - ad_V (Ad V_d) + [Kp, Kd] (X_e, V_e) of a frame at (R, p); `motion` = [V_d | Vdot_d]."""
-    E, e, X = np.empty((3, 3)), np.empty(3), np.empty(6)
+@_inner
+def _errors(
+    R: Array,
+    p: Array,
+    V: Array,
+    R_d: Array,
+    p_d: Array,
+    motion: Array,
+    split: bool,
+    X_e: Array,
+    V_e: Array,
+    ahead: Array,
+) -> None:
+    E, e, V_d = np.empty((3, 3)), np.empty(3), np.empty(6)
     for i in range(3):
         e[i] = 0.0
         for k in range(3):
             e[i] += R[k, i] * (p_d[k] - p[k])
         for j in range(3):
             E[i, j] = R[0, i] * R_d[0, j] + R[1, i] * R_d[1, j] + R[2, i] * R_d[2, j]
-    _log(E, e, X)
-    ahead = np.empty((2, 6))  # Ad V_d and Ad Vdot_d
-    for m in range(2):
-        for i in range(3):
-            ahead[m, i] = ahead[m, 3 + i] = 0.0
-            for k in range(3):
-                ahead[m, i] += E[i, k] * motion[k, m]
-                ahead[m, 3 + i] += E[i, k] * motion[3 + k, m]
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            ahead[m, 3 + i] += e[j] * ahead[m, k] - e[k] * ahead[m, j]
-    V_d = ahead[0]
+    _log(E, e, X_e)
+    for i in range(3):
+        V_d[i] = V_d[3 + i] = ahead[i] = ahead[3 + i] = 0.0
+        for k in range(3):
+            V_d[i] += E[i, k] * motion[k, 0]
+            V_d[3 + i] += E[i, k] * motion[3 + k, 0]
+            ahead[i] += E[i, k] * motion[k, 1]
+            ahead[3 + i] += E[i, k] * motion[3 + k, 1]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        y[i] = ahead[1, i] - (V[j] * V_d[k] - V[k] * V_d[j])
-        y[3 + i] = ahead[1, 3 + i] - (V[j] * V_d[3 + k] - V[k] * V_d[3 + j] + V[3 + j] * V_d[k] - V[3 + k] * V_d[j])
+        if split:  # the straight way, and the acceleration of the origin less what the frame turns
+            X_e[3 + i] = e[i]
+            ahead[3 + i] += V_d[j] * V_d[3 + k] - V_d[k] * V_d[3 + j] - (V[j] * V[3 + k] - V[k] * V[3 + j])
+        else:
+            ahead[3 + i] += e[j] * ahead[k] - e[k] * ahead[j]
+    if not split:
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            V_d[3 + i] += e[j] * V_d[k] - e[k] * V_d[j]
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            turned = V[j] * V_d[3 + k] - V[k] * V_d[3 + j]
+            ahead[3 + i] -= turned + V[3 + j] * V_d[k] - V[3 + k] * V_d[j]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        ahead[i] -= V[j] * V_d[k] - V[k] * V_d[j]
+    for i in range(6):
+        V_e[i] = V_d[i] - V[i]
+
+
+@_compiled(types.void, _m, _v, _v, _m, _v, _m, types.boolean, _V, _V, _V)
+def pose_errors(
+    R: Array,
+    p: Array,
+    V: Array,
+    R_d: Array,
+    p_d: Array,
+    motion: Array,
+    split: bool,
+    X_e: Array,
+    V_e: Array,
+    ahead: Array,
+) -> None:
+    """X_e, V_e and d/dt(Ad V_d) of a frame at (R, p) that moves with V; `motion` = [V_d | Vdot_d]."""
+    _errors(R, p, V, R_d, p_d, motion, split, X_e, V_e, ahead)
+
+
+@_compiled(types.void, _m, _v, _v, _m, _v, _m, _m, _V)
+def computed_torque(R: Array, p: Array, V: Array, R_d: Array, p_d: Array, motion: Array, K: Array, y: Array) -> None:
+    """y = d/dt(Ad V_d) + [Kp, Kd] (X_e, V_e) of a frame at (R, p)."""
+    X_e, V_e = np.empty(6), np.empty(6)
+    _errors(R, p, V, R_d, p_d, motion, False, X_e, V_e, y)
     for i in range(6):
         for j in range(6):
-            y[i] += K[i, j] * X[j] + K[i, 6 + j] * (V_d[j] - V[j])
+            y[i] += K[i, j] * X_e[j] + K[i, 6 + j] * V_e[j]
 
 
 @_inner

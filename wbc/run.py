@@ -177,7 +177,7 @@ def _record_pushes(log: Log, controller: Controller, simulator: Simulator) -> No
     for name, task in controller.phase.compliant.items():
         (T, V), desired, S = simulator.true_motion(task.frame), task.desired(state), task.selection(state)
         X_e, V_e, ahead = task.errors(T, V, desired)
-        lift = np.linalg.pinv(S)
+        lift = task.lift(state)
         row |= {f"{name}.displacement": -S @ X_e, f"{name}.rate": -S @ V_e, f"{name}.mobility": task.mobility(state)}
         row |= {f"{name}.twist": S @ V, f"{name}.ahead": S @ ahead}
         row |= {f"{name}.external": -lift.T @ simulator.true_external(task.frame), f"{name}.felt": task.push(state)}
