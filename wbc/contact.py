@@ -23,7 +23,7 @@ from .qp import Array, Rows
 from .robot import State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
-_ZERO = np.zeros(3)
+_ZERO, _ZEROS = np.zeros(3), np.zeros(6)
 _ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))  # Pinocchio's order is linear first
 
 
@@ -67,10 +67,6 @@ class Settling(NamedTuple):
 
     rate: float = 20.0  # [1/s]
     most: float = 1.0  # [rad/s^2, m/s^2]
-
-    def asked(self, slip: Array) -> Array:
-        """(k,) c of A V."""
-        return np.minimum(np.maximum(self.rate * slip, -self.most), self.most)
 
 
 class Contact(ABC):
@@ -140,10 +136,10 @@ class Contact(ABC):
         if held is None or held.bias.size != len(basis):
             held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, len(basis))
         kernels.select(basis, state.frame(self.frame).table, held.table, held.bias)
-        if Adot_V is not None:
-            held.rhs -= Adot_V
         if self.settling is not None:
-            held.rhs -= self.settling.asked(held.slip)
+            kernels.settle(_ZEROS[: self.k] if Adot_V is None else Adot_V, held.slip, *self.settling, held.rhs)
+        elif Adot_V is not None:
+            held.rhs -= Adot_V
         held.A, held.Adot_V, held.free, held.inverse = A, Adot_V, free, inverse
         if self.pushes is None:
             held.B, held.push, held.cone = A, held.G, None
@@ -188,6 +184,8 @@ def complement(A: Array) -> Array:
 
 class MatrixContact(Contact):
     """Any constant A (k, 6) in the body axes of the frame; its rows must be independent."""
+
+    steady = True
 
     def __init__(self, frame: str, A: Array) -> None:
         self.frame, self._A = frame, np.array(A, float).reshape(-1, 6)

@@ -23,8 +23,6 @@ class RoundFoot(WorldAxesContact):
     so that A' lambda is the force lambda at the point of contact, with its moment about the centre.
     """
 
-    steady = True
-
     def __init__(self, frame: str, R: Array, radius: float = 0.0) -> None:
         super().__init__(frame, _POINT, R)
         self.radius = radius
