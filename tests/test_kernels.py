@@ -105,8 +105,14 @@ def test_feedback_sense_advance_torque(rng, layout):
 
 
 def test_total_is_a_number_only_where_all_are():
-    assert kernels.total(np.array([1.0, 2.0])) == 3.0
-    assert not np.isfinite(kernels.total(np.array([np.inf, 1.0, -np.inf])))
+    for n in range(10):
+        assert kernels.total(np.arange(float(n))) == n * (n - 1) / 2
+    for i in range(7):
+        values = np.ones(7)
+        values[i] = np.nan
+        assert not np.isfinite(kernels.total(values))
+        values[i], values[i - 1] = np.inf, -np.inf
+        assert not np.isfinite(kernels.total(values))
 
 
 def tree_inertia(rng, n):
@@ -195,16 +201,14 @@ def test_point_target(rng, layout):
 
 def test_how_contacts_share_a_wrench(rng, layout):
     """lambda_0 + D (w - P lambda_0) carries w, and no lambda that does lies nearer to lambda_0."""
-    push, A = rng.normal(size=(9, 12)), rng.normal(size=(9, 6))
-    P, weight, S = np.empty((6, 9)), np.empty(9), np.empty((6, 6))
-    kernels.carried(*layout(push, A), 0.05, P, weight)
-    np.testing.assert_array_equal(P, push[:, :6].T)
+    push, A, weight, S = rng.normal(size=(9, 12)), rng.normal(size=(9, 6)), np.empty(9), np.empty((6, 6))
+    kernels.carried(*layout(push, A), 0.05, weight, S)
+    P = push[:, :6].T
     np.testing.assert_allclose(1.0 / weight, A**2 @ np.repeat([0.05**2, 1.0], 3), rtol=1e-13)
-    kernels.weighed(*layout(P, weight), S)
     np.testing.assert_allclose(S, (P / weight) @ P.T, rtol=1e-12, atol=1e-13)
     bias, start, D = rng.normal(size=6), rng.normal(size=9), np.empty((9, 6))
     lam = start.copy()
-    kernels.share(*layout(P, weight, np.linalg.inv(S), bias), D, lam)
+    kernels.share(*layout(push, weight, np.linalg.inv(S), bias), D, lam)
     np.testing.assert_allclose(P @ D, np.eye(6), atol=1e-9)
     np.testing.assert_allclose(P @ lam, -bias, atol=1e-9)
     away = weight * (lam - start)  # in the rows of P: orthogonal to what moves nothing

@@ -93,27 +93,27 @@ class DistributionTask:
 
     def rows(self, state: State, among: Sequence[str] | None = None) -> Rows:
         """Rows over `vdot` and the multipliers; `among`: the contacts that share, by default all."""
-        contacts, names = state.contacts, list(among if among is not None else state.contacts)
-        k = sum(contacts[name].G.shape[0] for name in names)
-        P, weight, lam, own = np.empty((6, k)), np.empty(k), np.zeros(k), dict[str, slice]()
+        contacts, names = state.contacts, state.contacts if among is None else among
+        held = [contacts[name] for name in names]
+        push = np.concatenate([each.push for each in held])
+        k = len(push)
+        weight, S, D, lam, one = np.empty(k), np.empty((6, 6)), np.empty((k, 6)), np.zeros(k), np.eye(k)
+        # a row of A is a unit force, or a unit moment
+        kernels.carried(push, np.concatenate([each.A for each in held]), SOLE_RADIUS, weight, S)
+        A: dict[str, Array | None] = {}
         start = 0
-        for name in names:
-            held = contacts[name]
-            own[name] = at = slice(start, start + held.G.shape[0])
-            # a row of A is a unit force, or a unit moment
-            kernels.carried(held.push, held.A, SOLE_RADIUS, P[:, at], weight[at])
+        for name, each in zip(names, held, strict=True):
+            own = slice(start, start + each.G.shape[0])
             if share := self.shares.get(name, 0.0):
-                f = share * mass(state) * state.frame(held.frame).T.rotation.T.dot(state.robot.model.gravity.linear)
-                lam[at] = held.inverse[:, 3:].dot(f)
-            start = at.stop
-        S, D, each = np.empty((6, 6)), np.empty((k, 6)), np.eye(k)
-        kernels.weighed(P, weight, S)
-        kernels.share(P, weight, inertia(S), state.bias, D, lam)
-        A: dict[str, Array | None] = {name: each[:, at] for name, at in own.items()}
-        A["vdot"] = D.dot(state.M[:6])
-        for name in contacts.keys() - own.keys():
+                f = share * mass(state) * state.frame(each.frame).T.rotation.T.dot(state.robot.model.gravity.linear)
+                lam[own] = each.inverse[:, 3:].dot(f)
+            A[name] = one[:, own]
+            start = own.stop
+        kernels.share(push, weight, inertia(S), state.bias, D, lam)
+        for name in contacts.keys() - A.keys():
             A[name] = D.dot(contacts[name].push[:, :6].T)
-        return Rows("", A, lam, lam, each * (weight / mass(state)))
+        A["vdot"] = D.dot(state.M[:6])
+        return Rows("", A, lam, lam, one * (weight / mass(state)))
 
 
 class WholeBodyPosture(PostureTask):

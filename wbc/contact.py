@@ -132,10 +132,19 @@ class Contact(ABC):
         return self._hold(state, A, free, self.pseudo_inverse(A), np.concatenate((A, free)), self.Adot_V(state))
 
     def _hold(self, state: State, A: Array, free: Array, inverse: Array, basis: Array, Adot_V: Array | None) -> Held:
-        held: Held | None = state.terms.held.get(self)
-        if held is None or held.bias.size != len(basis):
-            held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, len(basis))
+        held = self._storage(state, len(basis))
         kernels.select(basis, state.frame(self.frame).table, held.table, held.bias)
+        return self._demand(state, held, A, free, inverse, Adot_V)
+
+    def _storage(self, state: State, rows: int = 6) -> Held:
+        """What was held at the last tick, to be filled again."""
+        held: Held | None = state.terms.held.get(self)
+        if held is None or held.bias.size != rows:
+            held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, rows)
+        return held
+
+    def _demand(self, state: State, held: Held, A: Array, free: Array, inverse: Array, Adot_V: Array | None) -> Held:
+        """The rest of what is held, once its rows are selected."""
         if self.settling is not None:
             kernels.settle(_ZEROS[: self.k] if Adot_V is None else Adot_V, held.slip, *self.settling, held.rhs)
         elif Adot_V is not None:

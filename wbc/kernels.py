@@ -78,9 +78,8 @@ def frame(
         table[3 + i, n] = place[0, i] * b0 + place[1, i] * b1 + place[2, i] * b2
 
 
-@_compiled(types.void, _m, _m, _M, _V)
-def select(basis: Array, table: Array, out: Array, bias: Array) -> None:
-    """out = basis table, and bias its column of drifts with the sign turned."""
+@_inner
+def _select(basis: Array, table: Array, out: Array, bias: Array) -> None:
     n = table.shape[1]
     for i in range(basis.shape[0]):
         for j in range(n):
@@ -91,9 +90,19 @@ def select(basis: Array, table: Array, out: Array, bias: Array) -> None:
         bias[i] = -out[i, n - 2]
 
 
-@_compiled(types.void, _m, _m, _F, _v, _M, _V)
-def rolling(R_p: Array, R_f: Array, radius: float, V: Array, basis: Array, Adot_V: Array) -> None:
-    """Of a sphere on a plane with the axes R_p, its frame at R_f with twist V: A and free rows, and Adot V (`foot`)."""
+@_compiled(types.void, _m, _m, _M, _V)
+def select(basis: Array, table: Array, out: Array, bias: Array) -> None:
+    """out = basis table, and bias its column of drifts with the sign turned."""
+    _select(basis, table, out, bias)
+
+
+@_compiled(types.void, _m, _m, _F, _m, _M, _M, _V, _M, _V)
+def rolling(
+    R_p: Array, R_f: Array, radius: float, table: Array, basis: Array, inverse: Array, Adot_V: Array, out: Array,
+    bias: Array,
+) -> None:  # fmt: skip
+    """Of a sphere on a plane with the axes R_p, its frame at R_f: A and free rows, (A')^+, Adot V; then as `select`."""
+    V = table[:, table.shape[1] - 1]
     X = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
@@ -101,13 +110,14 @@ def rolling(R_p: Array, R_f: Array, radius: float, V: Array, basis: Array, Adot_
     for j in range(3):
         basis[0, j], basis[1, j], basis[2, j] = -radius * X[1, j], radius * X[0, j], 0.0
         for i in range(3):
-            basis[i, 3 + j] = basis[3 + i, j] = X[i, j]
-            basis[3 + i, 3 + j] = 0.0
+            basis[i, 3 + j] = basis[3 + i, j] = inverse[i, 3 + j] = X[i, j]
+            basis[3 + i, 3 + j] = inverse[i, j] = 0.0
     x = V[1] * V[5] - V[2] * V[4]
     y = V[2] * V[3] - V[0] * V[5]
     z = V[0] * V[4] - V[1] * V[3]
     for i in range(3):
         Adot_V[i] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z
+    _select(basis, table, out, bias)
 
 
 @_compiled(types.void, _v, _v, _F, _F, _V)
@@ -477,43 +487,41 @@ def point_target(
             b[i] += K[i, j] * e[j]
 
 
-@_compiled(types.void, _m, _m, _F, _M, _V)
-def carried(push: Array, A: Array, radius: float, P: Array, weight: Array) -> None:
-    """P (6, k): what multipliers do to a floating base; weight (k,): 1 for a unit force, 1/radius^2 for a moment."""
-    for i in range(A.shape[0]):
-        s = 0.0
+@_compiled(types.void, _m, _m, _F, _V, _M)
+def carried(push: Array, A: Array, radius: float, weight: Array, S: Array) -> None:
+    """weight (k,): 1 of a row of A that is a unit force, 1/radius^2 of a moment; S = P diag(weight)^-1 P'.
+
+    P' (k, 6) are the first columns of `push`: what the multipliers do to a floating base.
+    """
+    S[:] = 0.0
+    for k in range(A.shape[0]):
+        size = 0.0
         for j in range(3):
-            s += radius * radius * A[i, j] * A[i, j] + A[i, 3 + j] * A[i, 3 + j]
-        weight[i] = 1.0 / s
-        for j in range(6):
-            P[j, i] = push[i, j]
-
-
-@_compiled(types.void, _m, _v, _M)
-def weighed(P: Array, weight: Array, S: Array) -> None:
-    """S = P diag(weight)^-1 P'."""
-    for i in range(S.shape[0]):
-        for j in range(i + 1):
-            s = 0.0
-            for k in range(weight.size):
-                s += P[i, k] * P[j, k] / weight[k]
-            S[i, j] = S[j, i] = s
+            size += radius * radius * A[k, j] * A[k, j] + A[k, 3 + j] * A[k, 3 + j]
+        weight[k] = 1.0 / size
+        for i in range(6):
+            for j in range(i + 1):
+                S[i, j] += push[k, i] * push[k, j] * size
+    for i in range(6):
+        for j in range(i):
+            S[j, i] = S[i, j]
 
 
 @_compiled(types.void, _m, _v, _m, _v, _M, _V)
-def share(P: Array, weight: Array, Y: Array, bias: Array, D: Array, lam: Array) -> None:
+def share(push: Array, weight: Array, Y: Array, bias: Array, D: Array, lam: Array) -> None:
     """D = diag(weight)^-1 P' Y, and lam -= D (bias + P lam)."""
     k = weight.size
     r = np.empty(6)
     for a in range(6):
         r[a] = bias[a]
-        for j in range(k):
-            r[a] += P[a, j] * lam[j]
+    for i in range(k):
+        for a in range(6):
+            r[a] += push[i, a] * lam[i]
     for i in range(k):
         for a in range(6):
             s = 0.0
             for b in range(6):
-                s += P[b, i] * Y[b, a]
+                s += push[i, b] * Y[b, a]
             D[i, a] = s / weight[i]
             lam[i] -= D[i, a] * r[a]
 
@@ -633,10 +641,16 @@ def sense(
 @_compiled(_F, _v)
 def total(values: Array) -> float:
     """The sum: a number only where all of them are."""
-    s = 0.0
-    for value in values:
-        s += value
-    return s
+    s, t, u, w = 0.0, 0.0, 0.0, 0.0  # four at a time: each waits for its own last sum alone
+    last = values.size - values.size % 4
+    for i in range(0, last, 4):
+        s += values[i]
+        t += values[i + 1]
+        u += values[i + 2]
+        w += values[i + 3]
+    for i in range(last, values.size):
+        s += values[i]
+    return (s + t) + (u + w)
 
 
 @_compiled(types.void, _m, _v, _v, _v, _v, _V)

@@ -119,7 +119,7 @@ class WholeBodyProgram(Program):
                 if isinstance(self._tasks[name], MotionTask):  # what it moves while the contacts hold
                     free = np.empty((m, m))
                     kernels.within(K, W, start, free)
-                    rows = rows._replace(metric=inertia(free))
+                    rows = Rows("", rows.A, rows.lo, rows.lo, inertia(free))
                 start += m
             costs.append((rows, weights[name], levels[name]))
         state.primary = (stack, inertia(K) if self.posture else _NO_METRIC, K)
