@@ -21,24 +21,26 @@ from .reference import Reference
 from .robot import State
 from .task import PostureTask
 
+_ALONG = np.eye(3)
 BASE_SHARE = 1e-3  # what a posture's base weighs against its joints
 SOLE_RADIUS = 0.05  # [m] at which a moment of a contact weighs as much as a force
 
 
 def mass(state: State) -> float:
     """Of the whole robot [kg]."""
-    return float(state.terms.data.mass[0])
+    return state.terms.mass
 
 
 def com(state: State) -> tuple[Array, Array, Array]:
     """(3,) the centre of mass in the world [m], (3, nv) its Jacobian, (3,) Jdot v [m/s^2]."""
-    robot, data = state.robot, state.terms.data
+    robot, terms = state.robot, state.terms
+    c, J, R, g = terms.com
     if robot.base:  # its acceleration is what the base's equations of force say, over the mass
-        drift = data.oMi[1].rotation.dot(data.nle[:3]) / data.mass[0] + robot.model.gravity.linear
+        drift = R.dot(terms.h[:3]) / terms.mass + g
     else:
-        pin.centerOfMass(robot.model, data, state.q, state.v, np.zeros(state.v.size))
-        drift = data.acom[0].copy()
-    return data.com[0], data.Jcom, drift
+        pin.centerOfMass(robot.model, terms.data, state.q, state.v, np.zeros(state.v.size))
+        drift = terms.data.acom[0].copy()
+    return c, J, drift
 
 
 class ComTask:
@@ -51,6 +53,7 @@ class ComTask:
     def __init__(self, path: Reference, kp: Any = 40.0, kd: Any = 12.0) -> None:
         self.path = path
         self.Kp, self.Kd = gain_matrix(kp, 3, "kp"), gain_matrix(kd, 3, "kd")
+        self._K = np.hstack((self.Kp, self.Kd))
 
     def desired(self, state: State) -> tuple[Array, Array, Array]:
         """(3,) c_d, its velocity and its acceleration in the world."""
@@ -60,13 +63,13 @@ class ComTask:
 
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (3, nv) and (3,)."""
-        c, J, drift = com(state)
-        p, v, a = self.desired(state)
-        return J, a + self.Kp.dot(p - c) + self.Kd.dot(v - J.dot(state.v)) - drift
+        (c, J, drift), sample, b = com(state), self.path(state.since(self)), np.empty(3)
+        kernels.point_target(sample.R, sample.p, sample.motion, c, J, state.v, drift, self._K, b)
+        return J, b
 
     def rows(self, state: State) -> Rows:
         G, b = self.target(state)
-        return Rows("", {"vdot": G}, b, b, mass(state) * np.eye(3))
+        return Rows("", {"vdot": G}, b, b, mass(state) * _ALONG)
 
 
 class DistributionTask:
@@ -90,32 +93,27 @@ class DistributionTask:
 
     def rows(self, state: State, among: Sequence[str] | None = None) -> Rows:
         """Rows over `vdot` and the multipliers; `among`: the contacts that share, by default all."""
-        base, contacts, names = state.robot.base, state.contacts, list(among if among is not None else state.contacts)
-        push = {name: held.push[:, :base].T for name, held in contacts.items()}
-        P = np.concatenate([push[name] for name in names], axis=1)  # (6, k)
-        weight, lam = np.empty(P.shape[1]), np.zeros(P.shape[1])
+        contacts, names = state.contacts, state.contacts if among is None else among
+        held = [contacts[name] for name in names]
+        push = np.concatenate([each.push for each in held])
+        k = len(push)
+        weight, S, D, lam, one = np.empty(k), np.empty((6, 6)), np.empty((k, 6)), np.zeros(k), np.eye(k)
+        # a row of A is a unit force, or a unit moment
+        kernels.carried(push, np.concatenate([each.A for each in held]), SOLE_RADIUS, weight, S)
         A: dict[str, Array | None] = {}
         start = 0
-        for name in names:
-            held = contacts[name]
-            k = held.A.shape[0]
-            own = slice(start, start + k)
-            # a row of A is a unit force, or a unit moment
-            weight[own] = 1.0 / (np.square(held.A) @ _SCALE)
+        for name, each in zip(names, held, strict=True):
+            own = slice(start, start + each.G.shape[0])
             if share := self.shares.get(name, 0.0):
-                f = share * mass(state) * state.frame(held.frame).T.rotation.T.dot(state.robot.model.gravity.linear)
-                lam[own] = held.inverse[:, 3:].dot(f)
-            A[name] = np.eye(P.shape[1])[:, own]
-            start += k
-        D = (P / weight).T.dot(inertia((P / weight).dot(P.T)))
-        A["vdot"] = D.dot(state.M[:base])
-        for name in contacts.keys() - set(names):
-            A[name] = D.dot(push[name])
-        lam -= D.dot(state.bias[:base] + P.dot(lam))
-        return Rows("", A, lam, lam, np.diag(weight / mass(state)))
-
-
-_SCALE = np.repeat((SOLE_RADIUS**2, 1.0), 3)
+                f = share * mass(state) * state.frame(each.frame).T.rotation.T.dot(state.robot.model.gravity.linear)
+                lam[own] = each.inverse[:, 3:].dot(f)
+            A[name] = one[:, own]
+            start = own.stop
+        kernels.share(push, weight, inertia(S), state.bias, D, lam)
+        for name in contacts.keys() - A.keys():
+            A[name] = D.dot(contacts[name].push[:, :6].T)
+        A["vdot"] = D.dot(state.M[:6])
+        return Rows("", A, lam, lam, one * (weight / mass(state)))
 
 
 class WholeBodyPosture(PostureTask):

@@ -23,7 +23,7 @@ from .qp import Array, Rows
 from .robot import State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
-_ZERO = np.zeros(3)
+_ZERO, _ZEROS = np.zeros(3), np.zeros(6)
 _ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))  # Pinocchio's order is linear first
 
 
@@ -76,10 +76,6 @@ class Settling(NamedTuple):
 
     rate: float = 20.0  # [1/s]
     most: float = 1.0  # [rad/s^2, m/s^2]
-
-    def asked(self, slip: Array) -> Array:
-        """(k,) c of A V."""
-        return np.minimum(np.maximum(self.rate * slip, -self.most), self.most)
 
 
 class Contact(ABC):
@@ -145,14 +141,23 @@ class Contact(ABC):
         return self._hold(state, A, free, self.pseudo_inverse(A), np.concatenate((A, free)), self.Adot_V(state))
 
     def _hold(self, state: State, A: Array, free: Array, inverse: Array, basis: Array, Adot_V: Array | None) -> Held:
-        held: Held | None = state.terms.held.get(self)
-        if held is None or held.bias.size != len(basis):
-            held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, len(basis))
+        held = self._storage(state, len(basis))
         kernels.select(basis, state.frame(self.frame).table, held.table, held.bias)
-        if Adot_V is not None:
-            held.rhs -= Adot_V
+        return self._demand(state, held, A, free, inverse, Adot_V)
+
+    def _storage(self, state: State, rows: int = 6) -> Held:
+        """What was held at the last tick, to be filled again."""
+        held: Held | None = state.terms.held.get(self)
+        if held is None or held.bias.size != rows:
+            held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, rows)
+        return held
+
+    def _demand(self, state: State, held: Held, A: Array, free: Array, inverse: Array, Adot_V: Array | None) -> Held:
+        """The rest of what is held, once its rows are selected."""
         if self.settling is not None:
-            held.rhs -= self.settling.asked(held.slip)
+            kernels.settle(_ZEROS[: self.k] if Adot_V is None else Adot_V, held.slip, *self.settling, held.rhs)
+        elif Adot_V is not None:
+            held.rhs -= Adot_V
         held.A, held.Adot_V, held.free, held.inverse = A, Adot_V, free, inverse
         if self.pushes is None:
             held.B, held.push, held.cone = A, held.G, None
@@ -197,6 +202,8 @@ def complement(A: Array) -> Array:
 
 class MatrixContact(Contact):
     """Any constant A (k, 6) in the body axes of the frame; its rows must be independent."""
+
+    steady = True
 
     def __init__(self, frame: str, A: Array) -> None:
         self.frame, self._A = frame, np.array(A, float).reshape(-1, 6)

@@ -138,6 +138,12 @@ class Unilateral:
         labels = (f"{name}.push", *[f"{name}.friction"] * self.faces)
         return Rows(f"{name}.push", {name: cone.rows}, cone.least, self._most, None, labels)
 
+    def fill(self, name: str, cone: Cone, rows: Rows) -> None:
+        """Put them in rows where they stand."""
+        A: Any = rows.A
+        A[name][:] = cone.rows
+        rows.lo[:] = cone.least
+
     def told(self, contact: Contact, state: State, F: Array) -> dict[str, Any]:
         """What a wrench (6,) means at a surface: push [N], drag (2,) and the slip (2,) [m/s] across it, tilt [rad]."""
         frame = state.frame(contact.frame)

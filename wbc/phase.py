@@ -16,6 +16,7 @@ from .centroidal import ComTask, WholeBodyPosture
 from .contact import Contact
 from .dynamics import fill, gauss, inertia, mobility, torque_map
 from .errors import LawError, NameNotFound
+from .friction import Cone
 from .hierarchy import level
 from .hierarchy import solve as descend
 from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
@@ -222,13 +223,14 @@ class Program:
         # the same with joint viability allowed to yield, for ticks that have no answer otherwise
         self.yielding = None
         if joint is not None:
-            joint = joint._replace(A={"vdot": None, "yield": None})
-            self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, joint])
+            soft = joint._replace(A={"vdot": None, "yield": None})
+            self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, soft])
         self._rescue = make("proxqp")  # of levels that the solver refuses
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[Cost] = []
         self._torque, self._joint = self.strict.stored["torque"], self.strict.stored.get("joint")
-        self._hard: list[Rows] = []
+        self._hard = [self.strict.stored[rows.name] for rows in ([*hard, joint] if joint else hard)]
+        self._standing: dict[str, Cone] = {}  # whose rows stand in the problem
         self.window: tuple[Array, Array] = (phase.torque.low, phase.torque.high)  # [N m] of the torque at this tick
 
     def named(self, starts: Mapping[str, Any]) -> Mapping[Any, Any]:
@@ -245,17 +247,14 @@ class Program:
 
     def assemble(self, state: State, tau_last: Array, dt: float) -> bool:
         """The problem of a tick, in `strict`; False when it must not be solved."""
-        phase = self.phase
+        joint = self.phase.joint
+        self._fill_contacts(state)
+        self._fill_dynamics(state, tau_last, dt)
+        if self._joint is not None and joint is not None:
+            joint.fill(state.q, state.v, dt, self._joint)
         self._costs = self.costs(state)
-        self._hard = hard = self._held(state)
-        if self.pushing:
-            hard += self._cones(state)
-        hard += self._dynamics(state, tau_last, dt)
-        if self._joint is not None and phase.joint is not None:
-            phase.joint.fill(state.q, state.v, dt, self._joint)
-            hard.append(self._joint)
         self.last = self.strict
-        return _fill(self.strict, self._costs, hard)
+        return _fill(self.strict, self._costs)
 
     def _contact_rows(self, state: State) -> list[Rows]:
         """The constraints of the contacts, with the names of their rows."""
@@ -267,20 +266,23 @@ class Program:
         limit = self.phase.torque
         return [torque_map(state).rows(limit.low, limit.high, limit.labels)]
 
-    def _held(self, state: State) -> list[Rows]:
-        """The constraints of the contacts at a tick."""
-        hard = []
+    def _fill_contacts(self, state: State) -> None:
+        """The constraints of the contacts at a tick, and what they do not pull."""
         for name, contact in self.phase.contacts.items():
-            rows = self.strict.stored[name]
-            contact.fill(state.contacts[name], rows)
-            hard.append(rows)
-        return hard
+            contact.fill(state.contacts[name], self.strict.stored[name])
+        self._fill_cones(state)
 
-    def _dynamics(self, state: State, tau_last: Array, dt: float) -> list[Rows]:
+    def _fill_cones(self, state: State) -> None:
+        for name, pushes in self.pushing.items():
+            cone = state.contacts[name].cone
+            if cone is not None and cone is not self._standing.get(name):
+                pushes.fill(name, cone, self.strict.stored[f"{name}.push"])
+                self._standing[name] = cone
+
+    def _fill_dynamics(self, state: State, tau_last: Array, dt: float) -> None:
         """Equations of motion at a tick, with the torque within its window."""
         self.window = self.phase.torque.window(tau_last, dt, state.bias, self._torque)
         fill(state, self._torque)
-        return [self._torque]
 
     def rest(self, state: State) -> Array:
         """(nu,) the torque that holds the robot's weight at a state [N m]."""
@@ -376,7 +378,8 @@ def _stacked(state: State, tasks: Sequence[Any]) -> tuple[Array, Array]:
     return G, np.concatenate([h.rhs for h in held] + [rhs for _, rhs in own])
 
 
-def _fill(workspace: Workspace, costs: Sequence[Cost], hard: Sequence[Rows]) -> bool:
+def _fill(workspace: Workspace, costs: Sequence[Cost], hard: Sequence[Rows] = ()) -> bool:
+    """Costs, and the hard rows that do not stand there yet. Whether all is finite."""
     workspace.clear()
     for rows, weight, _ in costs:
         workspace.minimise(rows, weight)
