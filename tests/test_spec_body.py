@@ -24,7 +24,7 @@ references:
   place: {line: {in: link3, from: [0, 0, 0], to: [0, 0, 0.01], time: 1}}
 tasks:
   posture: {type: posture, kp: 50, kd: 10}
-  hand: {type: relative, frame: flange, to: link2, axes: [vx, vy, vz], target: fold, kp: 100, kd: 20}
+  hand: {type: relative, frame: flange, to: link1, axes: [vx, vy, vz], target: fold, kp: 100, kd: 20}
 """
 
 
@@ -47,7 +47,7 @@ class TestMade:
         tasks = made(ARM, {})
         hand = tasks["hand"]
         assert isinstance(hand, RelativeTask)
-        assert (hand.frame, hand.to, hand.axes, hand.split) == ("flange", "link2", ("vx", "vy", "vz"), False)
+        assert (hand.frame, hand.to, hand.axes, hand.split) == ("flange", "link1", ("vx", "vy", "vz"), False)
         start, end = (hand.reference(t).T for t in (0.0, 0.3))
         np.testing.assert_allclose(start.actInv(end).translation, [0.03, 0.0, 0.02], atol=1e-12)
 
@@ -110,13 +110,13 @@ def test_a_fold_ends_a_phase():
 
 
 LOOK = {"type": "gaze", "frame": "flange", "at": [1, 0, 0], "kp": 10, "kd": 5}
-HAND = {"type": "relative", "frame": "flange", "to": "link2", "target": "fold", "kp": 10, "kd": 5}
+HAND = {"type": "relative", "frame": "flange", "to": "link1", "target": "fold", "kp": 10, "kd": 5}
 CALM = {"type": "momentum", "kp": 10}
 FAULTS = {
     "the frame itself": ("hand", HAND | {"to": "flange"}, "is the frame itself; expected another one"),
     "one link": ("hand", HAND | {"frame": "link2", "to": "joint2"}, "on one link; expected a frame that moves against"),
     "no frame": ("hand", HAND | {"to": "flnge"}, "no frame named 'flnge'; did you mean 'flange'"),
-    "no axis": ("hand", HAND | {"frame": "link3", "axes": ["vy"]}, "cannot move link3 against link2 along vy; exp"),
+    "no axis": ("hand", HAND | {"frame": "link3", "to": "link2", "axes": ["vy"]}, "move link3 against link2 along vy; exp"),
     "no reference": ("hand", HAND | {"target": "fld"}, "no reference named 'fld'; did you mean 'fold'"),
     "gains": ("hand", HAND | {"axes": ["vx", "vy"], "kp": [1, 2, 3]}, r"expected 2 numbers \(vx, vy\), got 3"),
     "looks at itself": ("look", LOOK | {"at": "flange"}, "is the frame itself; expected another one, or a point"),
@@ -147,7 +147,7 @@ def test_faults_have_a_place_and_a_remedy(what):
 
 def test_a_relative_pose_is_not_drawn_in_the_world():
     text = ARM.replace("in: link3", "in: world")
-    with pytest.raises(SpecError, match="seen from 'link2'; expected `in: link2` or `in: self` in the reference"):
+    with pytest.raises(SpecError, match="seen from 'link1'; expected `in: link1` or `in: self` in the reference"):
         made(text, {"hand": HAND | {"target": "place"}})
 
 

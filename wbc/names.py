@@ -106,7 +106,7 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
         names.mocap(body, ("plant", "moves", body))
     if spec.start is not None:
         names.pose(spec.start, ("start",))
-    for limit in ("torque", "torque_rate", "velocity"):
+    for limit in ("torque", "torque_rate", "velocity", "acceleration"):
         value = getattr(spec.limits, limit)
         if isinstance(value, dict):
             names.joints(value, ("limits", limit))

@@ -370,7 +370,9 @@ class Program:
             if kind == "torque":
                 label = self.phase.torque.name(joints.index(joint), bool(z[i] > 0.0), tau_last, dt)
             elif kind == "joint" and self.phase.joint is not None:
-                label = self.phase.joint.name(joints.index(joint), bool(z[i] > 0.0), state.q)
+                number, rows = joints.index(joint), self.strict.stored["joint"]
+                side = rows.hi if z[i] > 0.0 else rows.lo
+                label = self.phase.joint.name(number, bool(z[i] > 0.0), state.q, side[state.robot.base + number])
             names.append(label)
         return tuple(dict.fromkeys(names)) if self.pushing else tuple(names)
 
