@@ -116,7 +116,7 @@ FAULTS = {
     "the frame itself": ("hand", HAND | {"to": "flange"}, "is the frame itself; expected another one"),
     "one link": ("hand", HAND | {"frame": "link2", "to": "joint2"}, "on one link; expected a frame that moves against"),
     "no frame": ("hand", HAND | {"to": "flnge"}, "no frame named 'flnge'; did you mean 'flange'"),
-    "no axis": ("hand", HAND | {"frame": "link3", "to": "link2", "axes": ["vy"]}, "move link3 against link2 along vy; exp"),
+    "no axis": ("hand", HAND | {"frame": "link3", "to": "link2", "axes": ["vy"]}, "against link2 along vy; expected"),
     "no reference": ("hand", HAND | {"target": "fld"}, "no reference named 'fld'; did you mean 'fold'"),
     "gains": ("hand", HAND | {"axes": ["vx", "vy"], "kp": [1, 2, 3]}, r"expected 2 numbers \(vx, vy\), got 3"),
     "looks at itself": ("look", LOOK | {"at": "flange"}, "is the frame itself; expected another one, or a point"),

@@ -195,7 +195,10 @@ def _fair(inertia: Array, effort: Array) -> Array:
 
 
 def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, JointLimit | None]:
-    """Limits from `torque`, `torque_rate`, `position`, `velocity`, `acceleration`: "model", a number or (nu,) within it, or None."""
+    """Limits from `torque`, `torque_rate`, `position`, `velocity`, `acceleration`.
+
+    Each is "model", a number or (nu,) within the model's, or None.
+    """
     n = robot.nu
 
     def value(name: str, model: Array) -> Array:
