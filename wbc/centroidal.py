@@ -1,4 +1,4 @@
-"""Tasks of a whole body: where its mass is, how the contacts share what that needs, its posture.
+"""Tasks of a whole body: where its mass is, its momentum, how the contacts share what that needs, its posture.
 
 By Newton and Euler the wrenches of all contacts add up to what the motion of the centre of mass needs; how they share
 it is free where they have more than six components.
@@ -6,7 +6,7 @@ it is free where they have more than six components.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from . import kernels
 from .analytic import gain_matrix
+from .axes import MOMENTUM_AXES
 from .dynamics import inertia
 from .errors import GainError
 from .qp import Array, Rows
@@ -22,6 +23,7 @@ from .robot import State
 from .task import PostureTask
 
 _ALONG = np.eye(3)
+_ORDER = [3, 4, 5, 0, 1, 2]
 BASE_SHARE = 1e-3  # what a posture's base weighs against its joints
 SOLE_RADIUS = 0.05  # [m] at which a moment of a contact weighs as much as a force
 
@@ -70,6 +72,63 @@ class ComTask:
     def rows(self, state: State) -> Rows:
         G, b = self.target(state)
         return Rows("", {"vdot": G}, b, b, mass(state) * _ALONG)
+
+
+def momentum(state: State) -> tuple[Array, Array, Array]:
+    """(6,) h = (k, l) about the centre of mass in the axes of the world [N m s, N s], (6, nv) its map, (6,) what of
+    hdot is not vdot's [N m, N]."""
+    robot, data = state.robot, state.terms.data
+    if robot.base:  # as of `com`: the base's six equations say what moves all of the robot
+        R, f = data.oMi[1].rotation, data.nle[:6]
+        l_dot = R.dot(f[:3])
+        k_dot = R.dot(f[3:]) + pin.skew(data.oMi[1].translation - data.com[0]).dot(l_dot)
+        drift = np.concatenate((k_dot, l_dot + data.mass[0] * robot.model.gravity.linear))
+    else:
+        still = np.zeros(state.v.size)
+        drift = pin.computeCentroidalMomentumTimeVariation(robot.model, data, state.q, state.v, still).vector[_ORDER]
+    A = data.Ag.reshape(6, state.v.size)[_ORDER]
+    return A.dot(state.v), A, drift
+
+
+class MomentumTask:
+    """The centroidal momentum h = (k, l): hdot = hdot_d + kp (h_d - h), on selected axes of the world.
+
+    Parameters: `kp` [1/s], a number, a vector over the axes or a matrix; `axes`: names from kx ky kz (angular, about
+    the centre of mass) and lx ly lz (linear); `desired`: t -> (6,) h_d, (6,) hdot_d, by default zero. The metric is the
+    inverse of the inertia that the robot has as one rigid body: the cost is a power over time, as of a motion.
+    """
+
+    def __init__(
+        self,
+        kp: Any = 10.0,
+        axes: tuple[str, ...] = MOMENTUM_AXES,
+        desired: Callable[[float], tuple[Array, Array]] | None = None,
+    ) -> None:
+        self.axes, self._desired = axes, desired
+        self._own = [MOMENTUM_AXES.index(axis) for axis in axes]
+        self.Kp = gain_matrix(kp, len(axes), "kp")
+
+    def desired(self, state: State) -> tuple[Array, Array]:
+        """(s,) h_d [N m s, N s] and (s,) its derivative [N m, N] along the axes."""
+        if self._desired is None:
+            return np.zeros(len(self.axes)), np.zeros(len(self.axes))
+        h, hdot = self._desired(state.since(self))
+        return h[self._own], hdot[self._own]
+
+    def error(self, state: State) -> Array:
+        """(s,) h_d - h [N m s, N s]."""
+        return np.asarray(self.desired(state)[0] - momentum(state)[0][self._own])
+
+    def target(self, state: State) -> tuple[Array, Array]:
+        """The task's own rows G vdot = b: (s, nv) and (s,)."""
+        (h, A, drift), (h_d, hdot_d), own = momentum(state), self.desired(state), self._own
+        return A[own], hdot_d + self.Kp.dot(h_d - h[own]) - drift[own]
+
+    def rows(self, state: State) -> Rows:
+        G, b = self.target(state)
+        whole = np.zeros((6, 6))
+        whole[:3, :3], whole[3:, 3:] = state.terms.data.Ig.inertia, mass(state) * np.eye(3)
+        return Rows("", {"vdot": G}, b, b, inertia(whole[np.ix_(self._own, self._own)]))
 
 
 class DistributionTask:

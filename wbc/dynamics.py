@@ -68,6 +68,14 @@ def unheld(state: State, G: Array) -> Array:
     return np.asarray(W[k:, k:] - W[k:, :k] @ inertia(W[:k, :k]) @ W[:k, k:] if k else W)
 
 
+def weighed(state: State, G: Array, b: Array) -> Rows:
+    """Rows G vdot = b in the inertia that they show within the contacts; what these hold weighs nothing."""
+    K = unheld(state, G)
+    values, vectors = np.linalg.eigh(0.5 * (K + K.T))
+    keep = values > 1e-9 * max(float(mobility(state, G).trace()), 1e-300)
+    return Rows("", {"vdot": G}, b, b, (vectors[:, keep] / values[keep]) @ vectors[:, keep].T)
+
+
 def gauss(state: State, G: Array, b: Array, vdot: Array) -> tuple[Rows, Array]:
     """Rows G vdot = b in their inertia, and an acceleration wanted in what they leave free, as one cost; and G M^-1 G'.
 

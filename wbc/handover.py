@@ -121,7 +121,8 @@ def hand_over(
             if name in starts:
                 begun[name] = starts[name]
         elif (reference := getattr(task, "reference", None)) is not None:
-            frame = state.frame(task.frame)  # type: ignore[attr-defined]
+            seen = getattr(task, "seen", None)
+            frame = state.frame(task.frame) if seen is None else seen(state)  # type: ignore[attr-defined]
             begun[name] = take_up(reference, state.t, frame.T, frame.V)
         else:
             begun[name] = Start(state.t)

@@ -610,7 +610,7 @@ def _closing(gap: float, soft: float, j: float, settle: float) -> float:
 
 @_compiled(types.void, _v, _v, _F, _m, _F, _V, _V)
 def braking_bounds(q: Array, v: Array, dt: float, sides: Array, settle: float, lo: Array, hi: Array) -> None:
-    """Bounds on vdot of `limit`; `sides` (6, 2 n) are edge, v_max, a, l, the way back, j of upper, then lower sides."""
+    """Bounds on vdot of `limit`; `sides` (7, 2 n): edge, v_max, a, l, the way back, j, a_max, upper then lower."""
     n = q.size
     for i in range(n):
         for side in range(2):
@@ -619,7 +619,7 @@ def braking_bounds(q: Array, v: Array, dt: float, sides: Array, settle: float, l
             edge, v_max, a, lead, back, j = sides[0, k], sides[1, k], sides[2, k], sides[3, k], sides[4, k], sides[5, k]
             soft = 0.5 * settle * j
             speed, room = sign * v[i], edge - sign * (q[i] + dt * v[i])
-            most = _closing(v_max - speed, soft, j, settle)
+            most = min(_closing(v_max - speed, soft, j, settle), sides[6, k])
             if room < math.inf:
                 root = math.sqrt(lead * lead + 2.0 * a * max(room, 0.0))
                 slope = a / root

@@ -12,9 +12,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from .centroidal import ComTask, WholeBodyPosture
+from .centroidal import ComTask, MomentumTask, WholeBodyPosture
 from .contact import Contact
 from .dynamics import fill, gauss, inertia, mobility, torque_map
+from .effort import TorqueTask
 from .errors import LawError, NameNotFound
 from .friction import Cone
 from .hierarchy import level
@@ -22,6 +23,7 @@ from .hierarchy import solve as descend
 from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
+from .relative import GazeTask
 from .robot import Robot, State
 from .solver import Solution, Solver, answer, make
 from .task import ForceTask, MotionTask, PostureTask, Task
@@ -97,7 +99,9 @@ def place(
         contact = getattr(task, "contact", None)
         if contact is not None and contact not in contacts:
             raise NameNotFound(f"contact (of task {name!r})", contact, contacts)
-        robot.frame_id(getattr(task, "frame", robot.frames[0]))
+        for key in ("frame", "to", "at"):
+            if isinstance(named := getattr(task, key, None), str):
+                robot.frame_id(named)
         for shared in getattr(task, "shares", ()):
             if shared not in contacts:
                 raise NameNotFound(f"contact (of task {name!r})", shared, contacts)
@@ -116,7 +120,7 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
     state = State(start.terms, start.q, start.v)
     hold(state, phase)
     rows = [held.G for held in state.contacts.values()]
-    moving = MotionTask | Compliance | ComTask
+    moving = MotionTask | Compliance | ComTask | MomentumTask | GazeTask
     rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, moving)]
     rank = np.linalg.matrix_rank(np.concatenate(rows)) if rows else 0
     postures = [name for name, task in phase.tasks.items() if isinstance(task, PostureTask)]
@@ -185,7 +189,8 @@ class Program:
         self.motion = {n: t for n, t in phase.tasks.items() if isinstance(t, MotionTask)}
         self.force = {t.contact: (n, t) for n, t in phase.tasks.items() if isinstance(t, ForceTask)}
         self.posture = {n: t for n, t in phase.tasks.items() if isinstance(t, PostureTask)}
-        known = (MotionTask, ForceTask, PostureTask)
+        self.effort = {n: t for n, t in phase.tasks.items() if isinstance(t, TorqueTask)}
+        known = (MotionTask, ForceTask, PostureTask, TorqueTask)
         other = {n: t for n, t in phase.tasks.items() if not isinstance(t, known)}
         self.above: dict[str, Task] = {**self.motion, **other}  # what the posture stays out of
         # one motion task's rows hold the contacts' as well: then they are all that stands above the posture
@@ -329,6 +334,7 @@ class Program:
                 costs += self._stack(state, [rows for rows, _, _ in costs])
             for name, posture in self.posture.items():
                 costs.append((posture.rows(state), weights[name], levels[name]))
+        costs += [(task.rows(state), weights[name], levels[name]) for name, task in self.effort.items()]
         for contact, held in state.contacts.items():
             if contact in self.force:
                 name, force = self.force[contact]
@@ -349,11 +355,12 @@ class Program:
         K = mobility(state, G)
         W = inertia(K)
         state.primary = (G, W, K)
-        if above or not held:
+        if self.motion or self.phase.compliant or not held:
             return []
         # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
         rhs = np.concatenate([h.rhs for h in held])
-        return [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0, LAST)]
+        k = rhs.size
+        return [(Rows("", {"vdot": G[:k]}, rhs, rhs, inertia(K[:k, :k])), 1.0, LAST)]
 
     def names(self, z: Array, found: list[int], state: State, tau_last: Array, dt: float) -> tuple[str, ...]:
         """Names of active rows of the last problem, with which of two limits it is that binds."""
@@ -365,7 +372,9 @@ class Program:
             if kind == "torque":
                 label = self.phase.torque.name(joints.index(joint), bool(z[i] > 0.0), tau_last, dt)
             elif kind == "joint" and self.phase.joint is not None:
-                label = self.phase.joint.name(joints.index(joint), bool(z[i] > 0.0), state.q)
+                number, rows = joints.index(joint), self.strict.stored["joint"]
+                side = rows.hi if z[i] > 0.0 else rows.lo
+                label = self.phase.joint.name(number, bool(z[i] > 0.0), state.q, side[state.robot.base + number])
             names.append(label)
         return tuple(dict.fromkeys(names)) if self.pushing else tuple(names)
 

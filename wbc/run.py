@@ -204,7 +204,7 @@ def _row(controller: Controller, seen: Observation, out: Output, took: float) ->
             row[f"{task.contact}.target"] = task.desired(state)
             row[f"{task.contact}.wanted"] = state.contacts[task.contact].A.T @ row[f"{task.contact}.target"]
         elif isinstance(task, MotionTask):
-            frame, desired = state.frame(task.frame), task.desired(state)
+            frame, desired = task.seen(state), task.desired(state)
             row |= {f"{name}.error": task.error(state), f"{name}.along": task.along(state)}
             row |= {f"{name}.position": frame.T.translation, f"{name}.desired": desired.T.translation}
             row[f"{name}.speed"] = np.linalg.norm(frame.V[3:])

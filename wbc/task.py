@@ -102,6 +102,10 @@ class MotionTask:
         S = np.eye(6)[[VELOCITY_AXES.index(a) for a in self.axes]]
         return S.T @ small @ S
 
+    def seen(self, state: State) -> Frame:
+        """The frame as its reference is told: in the world."""
+        return state.frame(self.frame)
+
     def desired(self, state: State) -> Sample:
         """The reference as it is followed at this tick: since the task began, led in from where the frame was then."""
         start = state.starts.get(self)
@@ -109,7 +113,7 @@ class MotionTask:
 
     def along(self, state: State) -> Array:
         """(s,) X_e, with [X_e] = log(T^-1 T_d), along the rows that pick the task's axes [rad, m]."""
-        X_e = pin.log6(state.frame(self.frame).T.actInv(self.desired(state).T)).vector[_ORDER]
+        X_e = pin.log6(self.seen(state).T.actInv(self.desired(state).T)).vector[_ORDER]
         return np.asarray(self._select(state) @ X_e, float)
 
     def error(self, state: State) -> Array:
@@ -123,7 +127,7 @@ class MotionTask:
 
     def acceleration(self, state: State) -> Array:
         """(6,) y in the axes of the frame [rad/s^2, m/s^2]."""
-        frame, desired = state.frame(self.frame), self.desired(state)
+        frame, desired = self.seen(state), self.desired(state)
         if not self.split:
             return computed_torque(frame, desired, self._K)
         X_e, V_e, ahead = pose_errors(frame.T, frame.V, desired, split=True)
@@ -131,7 +135,7 @@ class MotionTask:
 
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (s, nv) and (s,)."""
-        frame = state.frame(self.frame)
+        frame = self.seen(state)
         y = self.acceleration(state)
         y -= frame.drift
         if self.raw:

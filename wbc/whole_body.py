@@ -17,6 +17,7 @@ import numpy as np
 from . import kernels
 from .centroidal import DistributionTask, WholeBodyPosture
 from .dynamics import inertia, mobility, torque_map
+from .effort import TorqueTask
 from .errors import LawError
 from .phase import LAST, Cost, Phase, Program, hold
 from .qp import Array, Rows
@@ -42,7 +43,7 @@ class WholeBodyProgram(Program):
             self.rank = int((values > RANK_TOLERANCE * values[-1]).sum())
         if self.redundant:
             self.notes = (f"contacts hold {self.rows} axes, of which {self.rank} are independent",)
-        own = (ForceTask, PostureTask, DistributionTask)
+        own = (ForceTask, PostureTask, DistributionTask, TorqueTask)
         self._tasks: dict[str, Task] = {n: t for n, t in phase.tasks.items() if not isinstance(t, own)}
         given = [(n, t) for n, t in phase.tasks.items() if isinstance(t, DistributionTask)]
         levels = phase.levels or {}
@@ -126,6 +127,7 @@ class WholeBodyProgram(Program):
         for name, posture in self.posture.items():
             known = (lifted,) if isinstance(posture, WholeBodyPosture) else ()
             costs.append((posture.rows(state, *known), weights[name], levels[name]))
+        costs += [(task.rows(state), weights[name], levels[name]) for name, task in self.effort.items()]
         costs += [(force.rows(state), weights[name], levels[name]) for name, force in self.force.values()]
         if self._sharers:
             costs += [(task.rows(state, self._sharers), weight, at) for task, weight, at in self._sharing]
