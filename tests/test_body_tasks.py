@@ -142,6 +142,33 @@ def _mass(robot):
     return float(robot.mujoco.body_mass.sum())
 
 
+# --- the base ---
+
+
+class TestBase:
+    """A motion task of the base frame is its pose, its orientation, its position."""
+
+    @pytest.mark.parametrize("axes", [VELOCITY_AXES, ("wx", "wy", "wz"), ("vx", "vy", "vz")])
+    def test_by_finite_differences(self, go2, axes):
+        check_task(MotionTask("base", MOVING, axes=axes), go2, contacts_of(go2, bound=False), states=3)
+
+    @pytest.mark.parametrize(("axes", "error"), [(VELOCITY_AXES, "log"), (("wx", "wy", "wz"), "log"),
+                                                 (("vx", "vy", "vz"), "split")])  # fmt: skip
+    def test_it_follows_its_target(self, go2, axes, error):
+        start = go2.state(go2.keyframes["home"], np.zeros(18))
+        path = Path(start.frame("base").T, {0: sine(0.1, 1.0, ease=0.3), 2: sine(0.1, 1.0, ease=0.3),
+                                            3: sine(0.02, 1.0, ease=0.3), 5: sine(0.02, 0.8, ease=0.3)})  # fmt: skip
+        task = MotionTask("base", path, axes=axes, error=error)
+        posture = WholeBodyPosture(start.q, 20.0, 9.0, 12)
+        state, _ = driven(go2, {"base": task, "posture": posture}, 0.35, contacts_of(go2, bound=False))
+        T, goal = state.frame("base").T, path(0.35).T
+        if "wx" in axes:
+            assert np.linalg.norm(pin.log3(T.rotation.T @ goal.rotation)) < 3e-4  # of 0.13
+        if "vx" in axes:
+            np.testing.assert_allclose(T.translation, goal.translation, atol=1e-4)
+        assert np.linalg.norm(goal.translation - start.frame("base").p) > 5e-3
+
+
 # --- relative ---
 
 

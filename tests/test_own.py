@@ -74,12 +74,12 @@ def test_a_quadruped_rises_with_them(own, go2):
         foot.pushes = unilateral(foot, go2.state(q, v), DOWN, mu=0.6)
     goal = q[2] + 0.02
     tasks = {
-        "rise": (own["Height"]("base", goal), 1.0, 1),
+        "rise": (own["Height"]("base", goal, 300.0, 35.0), 1.0, 1),
         "level": MotionTask("base", Hold(go2.state(q, v).frame("base").T), axes=("wx", "wy", "wz", "vx", "vy")),
         "posture": WholeBodyPosture(q, 20.0, 9.0, 12),
     }
     controller, plant = Controller(go2, feet, tasks, q=q), Simulator(go2, q, 1e-3)
-    for _ in range(900):
+    for _ in range(400):
         seen = plant.observe()
         out = controller.step(seen.t, seen.q, seen.v)
         assert out.status is Status.OK, out.reason
@@ -90,9 +90,9 @@ def test_a_quadruped_rises_with_them(own, go2):
 def test_an_arm_lifts_with_its_task(own, bare_panda):
     q = bare_panda.keyframes["home"]
     goal = bare_panda.state(q, np.zeros(7)).frame("flange").p[2] + 0.05
-    tasks = {"lift": own["Height"]("flange", goal), "posture": PostureTask(q)}
+    tasks = {"lift": own["Height"]("flange", goal, 300.0, 35.0), "posture": PostureTask(q)}
     controller, plant = Controller(bare_panda, tasks=tasks), Simulator(bare_panda, q, 1e-3)
-    for _ in range(900):
+    for _ in range(600):
         seen = plant.observe()
         out = controller.step(seen.t, seen.q, seen.v)
         plant.apply(out.tau)

@@ -102,11 +102,58 @@ def test_an_arm_folds_and_looks_in_the_simulator():
     assert result.summary["metrics"]["hand.speed.max"] > 0.05
 
 
-def test_a_fold_ends_a_phase():
+def test_a_fold_begins_and_ends_phases_without_a_jump():
+    """A relative pose is taken up where the robot is when its phase begins, and its phase ends when it is done."""
     tree = yaml.safe_load(ARM)
-    del tree["references"]["place"]
-    tree["phases"] = {"bend": {"until": {"hand.done": True}}, "rest": {"tasks": ["posture"]}}
-    build(Spec.model_validate(tree))
+    tree["references"]["place"]["line"]["in"] = "link1"
+    tree["references"]["place"]["line"]["time"] = 0.1
+    for task in ("hand", "back"):
+        tree["tasks"][task] = tree["tasks"]["hand"] | {"error": "split"}
+    tree["tasks"]["hand"]["target"] = "place"
+    tree["tasks"]["back"]["target"] = "fold"
+    tree["phases"] = {
+        "bend": {"tasks": ["back", "posture"], "until": {"back.done": True}},
+        "away": {"tasks": ["hand", "posture"]},
+    }
+    tree |= {"duration": 0.36, "limits": {"torque": "model"}}
+    result = run(build(Spec.model_validate(tree)))
+    log, first = result.log, int(np.flatnonzero(result.log["phase"] == 1)[0])
+    assert first == pytest.approx(300, abs=2)
+    assert np.abs(log["hand.error"][first]).max() < 1e-9  # though `place` is most of a metre away
+    assert np.abs(log["tau"][first] - log["tau"][first - 1]).max() < 0.5
+
+
+def test_a_humanoid_does_all_of_it():
+    """Relative palms, a gaze, calm about the vertical and little torque, on two soles in MuJoCo."""
+    tasks = {
+        "carry": {"type": "relative", "frame": "left_palm", "to": "right_palm", "kp": 100, "kd": 20},
+        "look": {"type": "gaze", "frame": "torso_link", "axis": "+x", "at": [2, 0.5, 1], "kp": 100, "kd": 20},
+        "calm": {"type": "momentum", "axes": ["kz"], "kp": 5, "weight": 0.1},
+        "ease": {"type": "torque", "weight": 1e-5},
+    }
+    expect = {"settle": 0.0, "carry.position.max_error": 1e-3, "look.angle.max_error": 0.3, "calm.kz.max_error": 0.2}
+    spec = spec_of(WALKER, tasks).model_copy(update={"duration": 0.25})
+    tree = spec.model_dump(by_alias=True, exclude_unset=True) | {"expect": expect, "duration": 0.25}
+    result = run(build(Spec.model_validate(tree)))
+    figures = result.summary["metrics"]
+    assert result.ok, result.summary["checks"]
+    assert figures["ticks.degraded"] == 0.0
+    assert result.log["look.angle"][-1] < 0.5 * result.log["look.angle"][0]
+    assert figures["calm.kz.max_error"] > 0.0
+
+
+def test_acceleration_limits_reach_the_joints():
+    for given, wanted in ((4.0, [4.0] * 7), ([1, 2, 3, 4, 5, 6, 7], [1, 2, 3, 4, 5, 6, 7]), ({"joint2": 3.0}, None)):
+        joint = build(spec_of(ARM, {}, limits={"acceleration": given})).phases[0].joint
+        np.testing.assert_array_equal(joint.a_max, [np.inf, 3.0, *[np.inf] * 5] if wanted is None else wanted)
+    for given, message in (
+        ({"joint8": 3.0}, "no joint named 'joint8'; did you mean"),
+        ([1.0, 2.0], "expected 7 numbers, one a joint, got 2"),
+        (0.0, "expected a number greater than 0 .rad/s.2., got 0"),
+        ("model", "expected a number, a list, or a mapping from joints to numbers"),
+    ):
+        with pytest.raises(SpecError, match=message):
+            build(spec_of(ARM, {}, limits={"acceleration": given}))
 
 
 LOOK = {"type": "gaze", "frame": "flange", "at": [1, 0, 0], "kp": 10, "kd": 5}

@@ -175,7 +175,8 @@ class Geometry:
             self.faults.add(("tasks", name, "axes"), f"{message}; expected some of {', '.join(able)}")
         here = state.frame(entry.to).T.actInv(state.frame(entry.frame).T)
         if entry.target is None:
-            return Hold(here, relative=True)
+            still: Reference = self.made.setdefault(repr((entry.frame, entry.to)), Hold(here, relative=True))
+            return still
         reference = self.spec.references[entry.target]
         in_ = reference.curve.in_
         axes = VELOCITY_AXES if entry.axes == "all" else entry.axes

@@ -15,6 +15,7 @@ import numpy as np
 
 from . import analytic, material, stance
 from .build import Built
+from .centroidal import MomentumTask
 from .contact import Contact
 from .controller import Controller, Output, Status
 from .dynamics import mobility, unheld
@@ -25,6 +26,7 @@ from .log import Log
 from .metrics import metrics
 from .model import quietly
 from .phase import Phase
+from .relative import GazeTask
 from .response import Bode, described, responses
 from .robot import State
 from .sim import Observation, Simulator, Touch
@@ -209,6 +211,10 @@ def _row(controller: Controller, seen: Observation, out: Output, took: float) ->
             row |= {f"{name}.position": frame.T.translation, f"{name}.desired": desired.T.translation}
             row[f"{name}.speed"] = np.linalg.norm(frame.V[3:])
             row[f"{name}.desired_speed"] = np.linalg.norm(desired.V[3:])
+        elif isinstance(task, GazeTask):
+            row[f"{name}.angle"] = task.angle(state)
+        elif isinstance(task, MomentumTask):
+            row[f"{name}.lacking"] = task.error(state)
     return row
 
 
