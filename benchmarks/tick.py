@@ -27,17 +27,18 @@ from wbc.controller import Controller
 from wbc.phase import Program
 from wbc.run import run
 from wbc.spec import load
+from wbc.whole_body import WholeBodyProgram
 from wbc.wrench import Wrench
 
-# stage -> where its function stands; a stage inside another is taken off it
-STAGES = {
-    "state": (wbc.controller, "State"),
-    "contacts, wrenches": (Controller, "_read"),
-    "rows": (Program, "costs"),
-    "assembly": (Program, "assemble"),
-    "solve": (wbc.phase, "answer"),
-    "certificate": (wbc.solver, "certify"),
-    "decode": (Controller, "_accept"),
+# stage -> where its functions stand; a stage inside another is taken off it
+STAGES: dict[str, tuple[tuple[Any, str], ...]] = {
+    "state": ((wbc.controller, "State"),),
+    "contacts, wrenches": ((wbc.controller, "hold"), (Controller, "_read")),
+    "rows": ((Program, "costs"), (WholeBodyProgram, "costs")),
+    "assembly": ((Program, "assemble"),),
+    "solve": ((wbc.phase, "answer"),),
+    "certificate": ((wbc.solver, "certify"),),
+    "decode": ((Controller, "_accept"),),
 }
 INSIDE = {"assembly": "rows", "solve": "certificate"}
 
@@ -96,14 +97,15 @@ def split(name: str, overrides: list[str], count: int) -> dict[str, dict[str, fl
     gc.freeze()
     whole, floor = replay(built, ticks)
     clock = Clock()
-    originals = {stage: getattr(owner, attribute) for stage, (owner, attribute) in STAGES.items()}
+    places = [(stage, owner, attribute) for stage, found in STAGES.items() for owner, attribute in found]
+    originals = [getattr(owner, attribute) for _, owner, attribute in places]
     try:
-        for stage, (owner, attribute) in STAGES.items():
-            setattr(owner, attribute, clock.wrap(stage, originals[stage]))
+        for (stage, owner, attribute), original in zip(places, originals, strict=True):
+            setattr(owner, attribute, clock.wrap(stage, original))
         replay(built, ticks, clock.end_tick)
     finally:
-        for stage, (owner, attribute) in STAGES.items():
-            setattr(owner, attribute, originals[stage])
+        for (_, owner, attribute), original in zip(places, originals, strict=True):
+            setattr(owner, attribute, original)
     stages = {stage: np.array([t.get(stage, 0.0) for t in clock.ticks]) * 1e6 for stage in STAGES}
     for outer, inner in INSIDE.items():
         stages[outer] = stages[outer] - stages[inner]

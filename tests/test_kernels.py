@@ -105,5 +105,111 @@ def test_feedback_sense_advance_torque(rng, layout):
 
 
 def test_total_is_a_number_only_where_all_are():
-    assert kernels.total(np.array([1.0, 2.0])) == 3.0
-    assert not np.isfinite(kernels.total(np.array([np.inf, 1.0, -np.inf])))
+    for n in range(10):
+        assert kernels.total(np.arange(float(n))) == n * (n - 1) / 2
+    for i in range(7):
+        values = np.ones(7)
+        values[i] = np.nan
+        assert not np.isfinite(kernels.total(values))
+        values[i], values[i - 1] = np.inf, -np.inf
+        assert not np.isfinite(kernels.total(values))
+
+
+def tree_inertia(rng, n):
+    """A mass matrix with the zeros of two branches on one trunk."""
+    L = np.tril(rng.normal(size=(n, n)), -1) + np.diag(rng.uniform(1.0, 2.0, n))
+    half = n // 2
+    L[half + 1 :, 2 : half + 1] = 0.0
+    return L.T @ L
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 18])
+def test_inverse(rng, layout, n):
+    A, out = tree_inertia(rng, n), np.empty((n, n))
+    assert kernels.inverse(*layout(A), out)
+    np.testing.assert_allclose(out @ A, np.eye(n), atol=1e-8 * np.linalg.cond(A))
+    np.testing.assert_array_equal(out, out.T)
+
+
+def test_inverse_says_what_has_none(rng):
+    G, out = rng.normal(size=(4, 3)), np.full((4, 4), 7.0)
+    for A in (G @ G.T, -np.eye(4), np.diag([1.0, np.nan, 1.0, 1.0])):
+        assert not kernels.inverse(A, out)
+    np.testing.assert_array_equal(out, 7.0)
+    assert kernels.inverse(np.empty((0, 0)), np.empty((0, 0)))
+
+
+@pytest.mark.parametrize("m", [0, 1, 5])
+def test_mobility(rng, layout, m):
+    n = 9
+    M, G, lifted, K = tree_inertia(rng, n), rng.normal(size=(m, n)), np.empty((n, m)), np.empty((m, m))
+    assert kernels.mobility(*layout(M, G), lifted, K)
+    expected = np.linalg.solve(M, G.T)
+    np.testing.assert_allclose(lifted, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(K, G @ expected, rtol=1e-9, atol=1e-9)
+    again = np.empty((m, m))
+    assert kernels.mobility(M, G, np.empty((0, 0)), again)
+    np.testing.assert_allclose(again, K, rtol=1e-13, atol=1e-13)
+    assert not kernels.mobility(-M, G, lifted, K)
+    assert np.isnan(lifted).all()
+    assert np.isnan(K).all()
+
+
+def test_within(rng, layout):
+    """The Schur complement: the mobility of the last rows is that of the rows less what the first hold."""
+    G, M, out = rng.normal(size=(7, 9)), tree_inertia(rng, 9), np.empty((2, 2))
+    K = G @ np.linalg.solve(M, G.T)
+    W = np.linalg.inv(K[:3, :3])
+    kernels.within(*layout(K, W), 4, out)
+    np.testing.assert_allclose(out, K[4:6, 4:6] - K[4:6, :3] @ W @ K[:3, 4:6], rtol=1e-10, atol=1e-10)
+
+
+def test_add_rows(rng, layout):
+    A, B, target = rng.normal(size=(4, 6)), rng.normal(size=(4, 4)), rng.normal(size=4)
+    A[:, 2], H, g = 0.0, np.ones((6, 6)), np.ones(6)
+    for W in (B @ B.T, np.diag(rng.uniform(size=4))):
+        before = H.copy(), g.copy()
+        kernels.add_rows(*layout(A, W, target), 0.3, H, g)
+        np.testing.assert_allclose(H - before[0], 0.3 * A.T @ W @ A, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(g - before[1], -0.3 * A.T @ W @ target, rtol=1e-12, atol=1e-13)
+    np.testing.assert_array_equal(H, H.T)
+
+
+def test_settle(rng, layout):
+    Adot_V, slip, start = rng.normal(size=4), np.array([-9.0, -0.01, 0.02, 9.0]), rng.normal(size=4)
+    rhs = start.copy()
+    kernels.settle(*layout(Adot_V, slip), 3.0, 0.5, rhs)
+    np.testing.assert_allclose(rhs, start - Adot_V - np.clip(3.0 * slip, -0.5, 0.5), rtol=1e-13)
+
+
+def test_equations(rng, layout):
+    M, push, bias = rng.normal(size=(9, 9)), rng.normal(size=(4, 9)), rng.normal(size=9)
+    base, joints, nothing = np.empty((6, 13)), np.empty((3, 13)), np.empty(6)
+    kernels.equations(*layout(M, push, bias), base, joints, nothing)
+    np.testing.assert_array_equal(np.r_[base, joints], np.c_[M, push.T])
+    np.testing.assert_array_equal(nothing, -bias[:6])
+
+
+def test_point_target(rng, layout):
+    R, p, c, v, drift = pin.exp3(rng.normal(size=3)), *rng.normal(size=(2, 3)), rng.normal(size=8), rng.normal(size=3)
+    motion, J, K, b = rng.normal(size=(6, 2)), rng.normal(size=(3, 8)), rng.normal(size=(3, 6)), np.empty(3)
+    kernels.point_target(*layout(R, p, motion, c, J, v, drift, K), b)
+    (w, u), (_, udot) = motion[:, 0].reshape(2, 3), motion[:, 1].reshape(2, 3)
+    wanted = R @ (udot + np.cross(w, u)) + K @ np.r_[p - c, R @ u - J @ v] - drift
+    np.testing.assert_allclose(b, wanted, rtol=1e-12, atol=1e-13)
+
+
+def test_how_contacts_share_a_wrench(rng, layout):
+    """lambda_0 + D (w - P lambda_0) carries w, and no lambda that does lies nearer to lambda_0."""
+    push, A, weight, S = rng.normal(size=(9, 12)), rng.normal(size=(9, 6)), np.empty(9), np.empty((6, 6))
+    kernels.carried(*layout(push, A), 0.05, weight, S)
+    P = push[:, :6].T
+    np.testing.assert_allclose(1.0 / weight, A**2 @ np.repeat([0.05**2, 1.0], 3), rtol=1e-13)
+    np.testing.assert_allclose(S, (P / weight) @ P.T, rtol=1e-12, atol=1e-13)
+    bias, start, D = rng.normal(size=6), rng.normal(size=9), np.empty((9, 6))
+    lam = start.copy()
+    kernels.share(*layout(push, weight, np.linalg.inv(S), bias), D, lam)
+    np.testing.assert_allclose(P @ D, np.eye(6), atol=1e-9)
+    np.testing.assert_allclose(P @ lam, -bias, atol=1e-9)
+    away = weight * (lam - start)  # in the rows of P: orthogonal to what moves nothing
+    np.testing.assert_allclose(away, P.T @ np.linalg.lstsq(P.T, away, rcond=None)[0], atol=1e-9)

@@ -1,5 +1,7 @@
 """Limits: torque and its rate, and joints that always brake in time, alone and as a driven robot."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ OVERSHOOT = 1e-3  # [rad]
 OVERSPEED = 1.01  # of the velocity limit
 DT = 1e-3
 INF = np.inf
+LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 
 
 # --- torque ---
@@ -90,6 +93,88 @@ def test_a_joint_stops_in_time_from_every_viable_state(rng, start):
     late = np.minimum(half - np.abs(q_at[-1]), np.abs(1 - np.abs(v_at[-1]) / v_max))
     assert np.median(late) < 1e-3
     assert late.max() < 0.2
+
+
+def test_random_viable_states_stay_viable():
+    """1e5 of them at the full size: any range, speed, brake, jerk and acceleration limit, pushed to and fro as hard as
+    the bounds allow. No bound is empty, none is overstepped, and no more jerk is asked for than there is."""
+    rng, n = np.random.default_rng(4), 100_000 if LARGE else 2_000
+    half, v_max = rng.uniform(0.3, 3.0, n), rng.uniform(0.5, 6.0, n)
+    a, jerk = 10 ** rng.uniform(0.5, 2.2, n), 10 ** rng.uniform(2.0, 4.3, n)
+    a_max = np.where(rng.random(n) < 0.3, INF, 10 ** rng.uniform(-0.3, 2.3, n))
+    limit = JointLimit(-half, half, v_max, a, jerk, tuple(map(str, range(n))), a_max)
+    q = rng.uniform(-half, half)
+    top = limit.viable_speed(q)
+    v = np.where(rng.random(n) < 0.2, rng.choice([-1.0, 1.0], n), rng.uniform(-1.0, 1.0, n))
+    v, vdot = v * np.where(v > 0, top[:n], top[n:]), np.zeros(n)
+    push, over, fast, hard, asked = np.sign(v), -INF, 0.0, 0.0, 0.0
+    for tick in range(1500):
+        if tick % 150 == 149:
+            push = np.where(rng.random(n) < 0.3, rng.uniform(-1.0, 1.0, n), push)
+        rows = limit.rows(q, v, DT)
+        assert (rows.lo <= rows.hi).all()
+        asked = max(asked, (np.maximum(vdot - rows.hi, rows.lo - vdot) / (jerk * DT)).max())
+        vdot = np.clip(np.clip(1e4 * push, rows.lo, rows.hi), vdot - jerk * DT, vdot + jerk * DT)
+        v = v + DT * vdot
+        q = q + DT * v
+        over = max(over, (np.abs(q) - half).max())
+        fast, hard = max(fast, (np.abs(v) / v_max).max()), max(hard, (np.abs(vdot) / a_max).max())
+    assert over <= OVERSHOOT
+    assert fast <= 1.001
+    assert hard <= 1.0 + 1e-12
+    assert asked <= 1.0
+    if LARGE:
+        print(f"{n} states: overshoot {over:.2g} rad, speed {fast:.4f}, acceleration {hard:.4f}, jerk {asked:.2f}")
+
+
+def test_acceleration_limits_leave_room_at_any_state(rng):
+    """Beyond the range and too fast as well: the bounds of all three never cross, and the limit itself is kept."""
+    n = 1000
+    half, v_max, a_max = rng.uniform(0.3, 3.0, n), rng.uniform(0.5, 6.0, n), 10 ** rng.uniform(-2.0, 2.0, n)
+    a, jerk = 10 ** rng.uniform(0.5, 2.2, n), 10 ** rng.uniform(2.0, 4.3, n)
+    limit = JointLimit(-half, half, v_max, a, jerk, tuple(map(str, range(n))), a_max)
+    for _ in range(100):
+        rows = limit.rows(rng.uniform(-1.2, 1.2, n) * half, rng.uniform(-1.5, 1.5, n) * v_max, DT)
+        assert (rows.lo <= rows.hi).all()
+        assert (np.abs([rows.lo, rows.hi]) <= a_max).all()
+
+
+def test_an_acceleration_limit_alone():
+    free = np.full(2, INF)
+    limit = JointLimit(-free, free, free, np.full(2, 20.0), np.full(2, 2e3), ("a", "b"), np.array([3.0, INF]))
+    rows = limit.rows(np.zeros(2), np.ones(2), DT)
+    np.testing.assert_array_equal(rows.hi, [3.0, INF])
+    np.testing.assert_array_equal(rows.lo, [-3.0, -INF])
+    assert limit.name(0, True, np.zeros(2), 3.0) == "acceleration[a]"
+    assert limit.name(1, True, np.zeros(2), 3.0) == "velocity[b]"
+
+
+def test_a_robot_keeps_its_acceleration(bare_panda):
+    """Far goals, wild gains: no joint speeds up or brakes harder, the edge is not overstepped, and it says so."""
+    q, edge = bare_panda.keyframes["home"], bare_panda.q_max
+    goal = PostureTask(q + 8.0, 400.0, 10.0)
+    made = Controller(bare_panda, tasks={"go": goal}, limits={"torque_rate": 1000.0, "acceleration": [2.0] * 6 + [9.0]})
+    plant, most, active = Simulator(bare_panda, q, DT), 0.0, set()
+    made.reset(q, np.zeros(7))
+    for _ in range(1500):
+        seen = plant.observe()
+        out = made.step(seen.t, seen.q, seen.v)
+        assert "yield" not in out.reason
+        most, active = max(most, np.abs(out.vdot[:6]).max()), active | set(out.active)
+        plant.apply(out.tau)
+        assert (seen.q <= edge + OVERSHOOT).all()
+    assert most <= 2.0 + 1e-6
+    assert "acceleration[joint1]" in active
+    _, joint = make_limits(bare_panda, {"position": None, "velocity": None, "acceleration": 4.0})
+    assert (joint.a_max == 4.0).all()
+    assert make_limits(bare_panda, {"position": None, "velocity": None})[1] is None
+
+
+def test_a_walker_keeps_its_acceleration(go2):
+    limit = make_limits(go2, {"acceleration": 5.0})[1]
+    rows = limit.rows(go2.keyframes["home"], np.zeros(18), DT)
+    assert (rows.hi[6:] <= 5.0).all()
+    assert (rows.hi[:6] == INF).all()
 
 
 def test_a_joint_pressed_into_its_limit_rests_there(rng):

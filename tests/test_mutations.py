@@ -35,7 +35,7 @@ DEFAULTS = {
     "tasks.posture.target",
     "limits.torque",
 }  # keys shipped at their default
-SAMPLE = 60  # accepted mutations of each spec that the small campaign builds and runs
+SAMPLE = 25  # accepted mutations of each spec that the small campaign builds and runs
 TICKS = 20
 TIMES = (0.0, 0.4, 1.3, 2.9, 5.3)  # [s] at which references are looked at
 

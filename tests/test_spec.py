@@ -230,7 +230,7 @@ WRONG: dict[str, tuple[object, int, int, str, str]] = {
         18,
         3,
         "tasks.posture.type",
-        "is missing; expected force, motion, impedance, admittance, com, distribution or posture",
+        "is missing; expected force, motion, relative, gaze, impedance, admittance, com, momentum, distribution",
     ),
     "unknown type": (
         [("type: force", "type: froce")],

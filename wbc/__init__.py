@@ -16,6 +16,9 @@ _HOME = {
     "AxesContact": "contact", "Contact": "contact", "MatrixContact": "contact", "ScrewContact": "contact",
     "SphereContact": "contact", "WorldAxesContact": "contact",
     "ForceTask": "task", "MotionTask": "task", "PostureTask": "task", "Rows": "qp", "Sample": "reference",
+    "ComTask": "centroidal", "DistributionTask": "centroidal", "MomentumTask": "centroidal",
+    "WholeBodyPosture": "centroidal", "GazeTask": "relative", "RelativeTask": "relative", "TorqueTask": "effort",
+    "RoundFoot": "foot", "weighed": "dynamics",
     "WbcError": "errors", "SpecError": "errors", "load": "spec",
 }  # fmt: skip
 _MODULES = ("analytic", "errors", "reference", "solver", "testing")
@@ -24,11 +27,16 @@ __all__ = [*_HOME, *_MODULES]
 
 if TYPE_CHECKING:
     from . import analytic, errors, reference, solver, testing
+    from .centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
     from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
     from .controller import Controller, Output, Phase, Status
+    from .dynamics import weighed
+    from .effort import TorqueTask
     from .errors import SpecError, WbcError
+    from .foot import RoundFoot
     from .qp import Rows
     from .reference import Sample
+    from .relative import GazeTask, RelativeTask
     from .robot import Frame, Robot, State
     from .spec import load
     from .task import ForceTask, MotionTask, PostureTask

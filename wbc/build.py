@@ -280,7 +280,7 @@ def _limits(spec: specs.Spec, robot: Robot, faults: Faults) -> tuple[TorqueLimit
     limits = spec.limits
     most = {"torque": np.minimum(robot.tau_max, -robot.tau_min), "velocity": robot.v_max}
     values: dict[str, Any] = {}
-    for name in ("torque", "torque_rate", "velocity"):
+    for name in ("torque", "torque_rate", "velocity", "acceleration"):
         given, model = getattr(limits, name), most.get(name, np.full(robot.nu, np.inf))
         if isinstance(given, specs.Scale):
             given = model * given.scale

@@ -1,4 +1,4 @@
-"""Tasks of a whole body: where its mass is, how the contacts share what that needs, its posture.
+"""Tasks of a whole body: where its mass is, its momentum, how the contacts share what that needs, its posture.
 
 By Newton and Euler the wrenches of all contacts add up to what the motion of the centre of mass needs; how they share
 it is free where they have more than six components.
@@ -6,7 +6,7 @@ it is free where they have more than six components.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from . import kernels
 from .analytic import gain_matrix
+from .axes import MOMENTUM_AXES
 from .dynamics import inertia
 from .errors import GainError
 from .qp import Array, Rows
@@ -21,6 +22,8 @@ from .reference import Reference
 from .robot import State
 from .task import PostureTask
 
+_ALONG = np.eye(3)
+_ORDER = [3, 4, 5, 0, 1, 2]
 BASE_SHARE = 1e-3  # what a posture's base weighs against its joints
 FADE = 0.5  # [s] in which contacts change what they share
 SOLE_RADIUS = 0.05  # [m] at which a moment of a contact weighs as much as a force
@@ -28,18 +31,19 @@ SOLE_RADIUS = 0.05  # [m] at which a moment of a contact weighs as much as a for
 
 def mass(state: State) -> float:
     """Of the whole robot [kg]."""
-    return float(state.terms.data.mass[0])
+    return state.terms.mass
 
 
 def com(state: State) -> tuple[Array, Array, Array]:
     """(3,) the centre of mass in the world [m], (3, nv) its Jacobian, (3,) Jdot v [m/s^2]."""
-    robot, data = state.robot, state.terms.data
+    robot, terms = state.robot, state.terms
+    c, J, R, g = terms.com
     if robot.base:  # its acceleration is what the base's equations of force say, over the mass
-        drift = data.oMi[1].rotation.dot(data.nle[:3]) / data.mass[0] + robot.model.gravity.linear
+        drift = R.dot(terms.h[:3]) / terms.mass + g
     else:
-        pin.centerOfMass(robot.model, data, state.q, state.v, np.zeros(state.v.size))
-        drift = data.acom[0].copy()
-    return data.com[0], data.Jcom, drift
+        pin.centerOfMass(robot.model, terms.data, state.q, state.v, np.zeros(state.v.size))
+        drift = terms.data.acom[0].copy()
+    return c, J, drift
 
 
 def middle(state: State, shares: Mapping[str, float]) -> Array:
@@ -61,6 +65,7 @@ class ComTask:
     ) -> None:
         self.path, self.over = path, dict(over or {})
         self.Kp, self.Kd = gain_matrix(kp, 3, "kp"), gain_matrix(kd, 3, "kd")
+        self._K = np.hstack((self.Kp, self.Kd))
 
     def desired(self, state: State) -> tuple[Array, Array, Array]:
         """(3,) c_d, its velocity and its acceleration in the world."""
@@ -71,13 +76,70 @@ class ComTask:
 
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (3, nv) and (3,)."""
-        c, J, drift = com(state)
-        p, v, a = self.desired(state)
-        return J, a + self.Kp.dot(p - c) + self.Kd.dot(v - J.dot(state.v)) - drift
+        (c, J, drift), sample, b = com(state), self.path(state.since(self)), np.empty(3)
+        kernels.point_target(sample.R, sample.p, sample.motion, c, J, state.v, drift, self._K, b)
+        return J, b
 
     def rows(self, state: State) -> Rows:
         G, b = self.target(state)
-        return Rows("", {"vdot": G}, b, b, mass(state) * np.eye(3))
+        return Rows("", {"vdot": G}, b, b, mass(state) * _ALONG)
+
+
+def momentum(state: State) -> tuple[Array, Array, Array]:
+    """(6,) h = (k, l) about the centre of mass in the axes of the world [N m s, N s], (6, nv) its map, (6,) what of
+    hdot is not vdot's [N m, N]."""
+    robot, data = state.robot, state.terms.data
+    if robot.base:  # as of `com`: the base's six equations say what moves all of the robot
+        R, f = data.oMi[1].rotation, data.nle[:6]
+        l_dot = R.dot(f[:3])
+        k_dot = R.dot(f[3:]) + pin.skew(data.oMi[1].translation - data.com[0]).dot(l_dot)
+        drift = np.concatenate((k_dot, l_dot + data.mass[0] * robot.model.gravity.linear))
+    else:
+        still = np.zeros(state.v.size)
+        drift = pin.computeCentroidalMomentumTimeVariation(robot.model, data, state.q, state.v, still).vector[_ORDER]
+    A = data.Ag.reshape(6, state.v.size)[_ORDER]
+    return A.dot(state.v), A, drift
+
+
+class MomentumTask:
+    """The centroidal momentum h = (k, l): hdot = hdot_d + kp (h_d - h), on selected axes of the world.
+
+    Parameters: `kp` [1/s], a number, a vector over the axes or a matrix; `axes`: names from kx ky kz (angular, about
+    the centre of mass) and lx ly lz (linear); `desired`: t -> (6,) h_d, (6,) hdot_d, by default zero. The metric is the
+    inverse of the inertia that the robot has as one rigid body: the cost is a power over time, as of a motion.
+    """
+
+    def __init__(
+        self,
+        kp: Any = 10.0,
+        axes: tuple[str, ...] = MOMENTUM_AXES,
+        desired: Callable[[float], tuple[Array, Array]] | None = None,
+    ) -> None:
+        self.axes, self._desired = axes, desired
+        self._own = [MOMENTUM_AXES.index(axis) for axis in axes]
+        self.Kp = gain_matrix(kp, len(axes), "kp")
+
+    def desired(self, state: State) -> tuple[Array, Array]:
+        """(s,) h_d [N m s, N s] and (s,) its derivative [N m, N] along the axes."""
+        if self._desired is None:
+            return np.zeros(len(self.axes)), np.zeros(len(self.axes))
+        h, hdot = self._desired(state.since(self))
+        return h[self._own], hdot[self._own]
+
+    def error(self, state: State) -> Array:
+        """(s,) h_d - h [N m s, N s]."""
+        return np.asarray(self.desired(state)[0] - momentum(state)[0][self._own])
+
+    def target(self, state: State) -> tuple[Array, Array]:
+        """The task's own rows G vdot = b: (s, nv) and (s,)."""
+        (h, A, drift), (h_d, hdot_d), own = momentum(state), self.desired(state), self._own
+        return A[own], hdot_d + self.Kp.dot(h_d - h[own]) - drift[own]
+
+    def rows(self, state: State) -> Rows:
+        G, b = self.target(state)
+        whole = np.zeros((6, 6))
+        whole[:3, :3], whole[3:, 3:] = state.terms.data.Ig.inertia, mass(state) * np.eye(3)
+        return Rows("", {"vdot": G}, b, b, inertia(whole[np.ix_(self._own, self._own)]))
 
 
 class DistributionTask:
@@ -103,36 +165,31 @@ class DistributionTask:
 
     def rows(self, state: State, among: Sequence[str] | None = None) -> Rows:
         """Rows over `vdot` and the multipliers; `among`: the contacts that share, by default all."""
-        base, contacts, names = state.robot.base, state.contacts, list(among if among is not None else state.contacts)
-        push = {name: held.push[:, :base].T for name, held in contacts.items()}
+        contacts, names = state.contacts, state.contacts if among is None else among
         begun = state.starts.get(self)
         fade = 1.0 if begun is None else min(max((state.t - begun.t) / FADE, 0.0), 1.0)
-        P = np.concatenate([push[name] for name in names], axis=1)  # (6, k)
-        weight, lam = np.empty(P.shape[1]), np.zeros(P.shape[1])
+        held = [contacts[name] for name in names]
+        push = np.concatenate([each.push for each in held])
+        k = len(push)
+        weight, S, D, lam, one = np.empty(k), np.empty((6, 6)), np.empty((k, 6)), np.zeros(k), np.eye(k)
+        # a row of A is a unit force, or a unit moment
+        kernels.carried(push, np.concatenate([each.A for each in held]), SOLE_RADIUS, weight, S)
         A: dict[str, Array | None] = {}
         start = 0
-        for name in names:
-            held = contacts[name]
-            k = held.A.shape[0]
-            own = slice(start, start + k)
-            # a row of A is a unit force, or a unit moment
-            weight[own] = 1.0 / (np.square(held.A) @ _SCALE)
+        for name, each in zip(names, held, strict=True):
+            own = slice(start, start + each.G.shape[0])
             if share := self.shares.get(name, 0.0):
-                f = share * mass(state) * state.frame(held.frame).T.rotation.T.dot(state.robot.model.gravity.linear)
-                lam[own] = fade * held.inverse[:, 3:].dot(f)
+                f = share * mass(state) * state.frame(each.frame).T.rotation.T.dot(state.robot.model.gravity.linear)
+                lam[own] = fade * each.inverse[:, 3:].dot(f)
             if begun is not None and fade < 1.0 and (before := begun.loads.get(name)) is not None:
                 lam[own] += (1.0 - fade) * before
-            A[name] = np.eye(P.shape[1])[:, own]
-            start += k
-        D = (P / weight).T.dot(inertia((P / weight).dot(P.T)))
-        A["vdot"] = D.dot(state.M[:base])
-        for name in contacts.keys() - set(names):
-            A[name] = D.dot(push[name])
-        lam -= D.dot(state.bias[:base] + P.dot(lam))
-        return Rows("", A, lam, lam, np.diag(weight / mass(state)))
-
-
-_SCALE = np.repeat((SOLE_RADIUS**2, 1.0), 3)
+            A[name] = one[:, own]
+            start = own.stop
+        kernels.share(push, weight, inertia(S), state.bias, D, lam)
+        for name in contacts.keys() - A.keys():
+            A[name] = D.dot(contacts[name].push[:, :6].T)
+        A["vdot"] = D.dot(state.M[:6])
+        return Rows("", A, lam, lam, one * (weight / mass(state)))
 
 
 class WholeBodyPosture(PostureTask):

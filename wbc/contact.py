@@ -24,7 +24,7 @@ from .qp import Array, Rows
 from .robot import State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
-_ZERO = np.zeros(3)
+_ZERO, _ZEROS = np.zeros(3), np.zeros(6)
 _ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))  # Pinocchio's order is linear first
 
 
@@ -48,11 +48,20 @@ class Held:
     push: Array
     cone: Cone | None
     lifted: bool = False
+    _lift: Array
 
     def __init__(self, frame: str, n: int, k: int, rows: int) -> None:
         self.frame, self.table, self.bias = frame, np.empty((rows, n + 2)), np.empty(rows)
         self.stack, self.G, self.rhs = self.table[:, :n], self.table[:k, :n], self.bias[:k]
         self.slip = self.table[:k, n + 1]
+        self._lifted: Array | None = None  # the free rows that `_lift` is of
+
+    @property
+    def lift(self) -> Array:
+        """(6, 6 - k) pseudo-inverse of the free rows."""
+        if self._lifted is not self.free:
+            self._lifted, self._lift = self.free, np.asarray(np.linalg.pinv(self.free), float)
+        return self._lift
 
     def unconstrained(self, F: Array) -> Array:
         """(6,) the part of a wrench that the constraint does not cause: F - A' (A')^+ F."""
@@ -69,10 +78,6 @@ class Settling(NamedTuple):
 
     rate: float = 20.0  # [1/s]
     most: float = 1.0  # [rad/s^2, m/s^2]
-
-    def asked(self, slip: Array) -> Array:
-        """(k,) c of A V."""
-        return np.minimum(np.maximum(self.rate * slip, -self.most), self.most)
 
 
 class Contact(ABC):
@@ -139,19 +144,30 @@ class Contact(ABC):
         return self._hold(state, A, free, self.pseudo_inverse(A), np.concatenate((A, free)), self.Adot_V(state))
 
     def _hold(self, state: State, A: Array, free: Array, inverse: Array, basis: Array, Adot_V: Array | None) -> Held:
-        held: Held | None = state.terms.held.get(self)
-        if held is None or held.bias.size != len(basis):
-            held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, len(basis))
+        held = self._storage(state, len(basis))
         kernels.select(basis, state.frame(self.frame).table, held.table, held.bias)
-        if Adot_V is not None:
-            held.rhs -= Adot_V
+        return self._demand(state, held, A, free, inverse, Adot_V)
+
+    def _storage(self, state: State, rows: int = 6) -> Held:
+        """What was held at the last tick, to be filled again."""
+        held: Held | None = state.terms.held.get(self)
+        if held is None or held.bias.size != rows:
+            held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, rows)
+        return held
+
+    def _demand(self, state: State, held: Held, A: Array, free: Array, inverse: Array, Adot_V: Array | None) -> Held:
+        """The rest of what is held, once its rows are selected."""
         if self.footing is not None:
             frame = state.frame(self.frame)
             held.lifted = self.footing.lifted(frame)
         if held.lifted:
             held.rhs -= self.footing.asked(A, frame)  # type: ignore[union-attr]
+            if Adot_V is not None:
+                held.rhs -= Adot_V
         elif self.settling is not None:
-            held.rhs -= self.settling.asked(held.slip)
+            kernels.settle(_ZEROS[: self.k] if Adot_V is None else Adot_V, held.slip, *self.settling, held.rhs)
+        elif Adot_V is not None:
+            held.rhs -= Adot_V
         held.A, held.Adot_V, held.free, held.inverse = A, Adot_V, free, inverse
         if self.pushes is None:
             held.B, held.push, held.cone = A, held.G, None
@@ -196,6 +212,8 @@ def complement(A: Array) -> Array:
 
 class MatrixContact(Contact):
     """Any constant A (k, 6) in the body axes of the frame; its rows must be independent."""
+
+    steady = True
 
     def __init__(self, frame: str, A: Array) -> None:
         self.frame, self._A = frame, np.array(A, float).reshape(-1, 6)

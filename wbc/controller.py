@@ -89,9 +89,9 @@ class Controller:
     """A whole-body contact controller.
 
     Parameters: the robot; `contacts` name -> Contact; `tasks` name -> Task, or (Task, weight); `limits` with the keys
-    `torque`, `torque_rate`, `position`, `velocity` (a number or (nu,), "model", or None); `solver`: a name or an object
-    with `solve(problem)`; `rate` [Hz]. `from_spec` makes one from YAML. Everything wrong with these raises here, a
-    WbcError that says what; nothing raises later.
+    `torque`, `torque_rate`, `position`, `velocity`, `acceleration` (a number or (nu,), "model", or None); `solver`: a
+    name or an object with `solve(problem)`; `rate` [Hz]. `from_spec` makes one from YAML. Everything wrong with these
+    raises here, a WbcError that says what; nothing raises later.
     """
 
     def __init__(

@@ -6,15 +6,15 @@ bias = h + J' F of the wrenches that are known
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from eigenpy import LLT, ComputationInfo
 
 from . import kernels
 from .qp import Array, Rows
 from .robot import State
+
+_NOTHING = np.empty((0, 0))
 
 
 class TorqueMap(NamedTuple):
@@ -55,7 +55,9 @@ def fill(state: State, rows: Rows) -> None:
 
 def mobility(state: State, G: Array) -> Array:
     """(m, m) G M^-1 G', the acceleration that unit forces along the rows of G cause."""
-    return G.dot(state.solve_M(G.T))
+    K = np.empty(2 * G.shape[:1])
+    kernels.mobility(state.M, G, _NOTHING, K)
+    return K
 
 
 def unheld(state: State, G: Array) -> Array:
@@ -64,6 +66,14 @@ def unheld(state: State, G: Array) -> Array:
     k = sum(each.shape[0] for each in held)
     W = mobility(state, np.concatenate([*held, G]))
     return np.asarray(W[k:, k:] - W[k:, :k] @ inertia(W[:k, :k]) @ W[:k, k:] if k else W)
+
+
+def weighed(state: State, G: Array, b: Array) -> Rows:
+    """Rows G vdot = b in the inertia that they show within the contacts; what these hold weighs nothing."""
+    K = unheld(state, G)
+    values, vectors = np.linalg.eigh(0.5 * (K + K.T))
+    keep = values > 1e-9 * max(float(mobility(state, G).trace()), 1e-300)
+    return Rows("", {"vdot": G}, b, b, (vectors[:, keep] / values[keep]) @ vectors[:, keep].T)
 
 
 def gauss(state: State, G: Array, b: Array, vdot: Array) -> tuple[Rows, Array]:
@@ -103,19 +113,11 @@ def reaction(state: State, tau: Array) -> dict[str, Array]:
     return lam
 
 
-@lru_cache
-def _identity(m: int) -> Array:
-    return np.eye(m, order="F")
-
-
 def inertia(mobility_of_rows: Array) -> Array:
     """(m, m) inverse of a mobility: M_C of the rows (book 8.6). Directions that cannot move weigh nothing."""
-    m = mobility_of_rows.shape[0]
-    if m == 0:
-        return mobility_of_rows
-    factor = LLT(mobility_of_rows)
-    if factor.info() == ComputationInfo.Success and factor.rcond() > 1e-14:
-        return factor.solve(_identity(m)).reshape(m, m)
+    W = np.empty(mobility_of_rows.shape)
+    if kernels.inverse(mobility_of_rows, W):
+        return W
     # dependent rows (redundant contacts, a singular pose): invert what can move
     values, vectors = np.linalg.eigh(mobility_of_rows)
     keep = values > 1e-10 * values.max()

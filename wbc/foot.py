@@ -23,8 +23,6 @@ class RoundFoot(WorldAxesContact):
     so that A' lambda is the force lambda at the point of contact, with its moment about the centre.
     """
 
-    steady = True
-
     def __init__(self, frame: str, R: Array, radius: float = 0.0) -> None:
         super().__init__(frame, _POINT, R)
         self.radius = radius
@@ -32,11 +30,10 @@ class RoundFoot(WorldAxesContact):
         self._A = np.hstack((radius * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.eye(3)))
 
     def hold(self, state: State) -> Held:
-        frame, basis, Adot_V = state.frame(self.frame), np.empty((6, 6)), np.empty(3)
-        kernels.rolling(self._R, frame.R, self.radius, frame.V, basis, Adot_V)
-        inverse = np.zeros((3, 6))
-        inverse[:, 3:] = basis[:3, 3:]
-        return self._hold(state, basis[:3], basis[3:], inverse, basis, Adot_V)
+        frame, held, basis = state.frame(self.frame), self._storage(state), np.empty((6, 6))
+        inverse, Adot_V = np.empty((3, 6)), np.empty(3)
+        kernels.rolling(self._R, frame.R, self.radius, frame.table, basis, inverse, Adot_V, held.table, held.bias)
+        return self._demand(state, held, basis[:3], basis[3:], inverse, Adot_V)
 
     def pseudo_inverse(self, A: Array) -> Array:
         """(3, 6) the force alone tells the multipliers: whatever it acts on, its moment follows."""

@@ -138,12 +138,14 @@ class Unilateral:
         labels = (f"{name}.push", *[f"{name}.friction"] * self.faces)
         return Rows(f"{name}.push", {name: cone.rows}, cone.least, self._most, None, labels)
 
-    def idle(self, name: str, cone: Cone) -> Rows:
-        """The same where nothing is touched: no push, and so nothing across it."""
-        rows = self.rows(name, cone)
-        hi = rows.hi.copy()
-        hi[0] = 0.0
-        return rows._replace(lo=np.zeros(hi.size), hi=hi)
+    def fill(self, name: str, cone: Cone, rows: Rows, touches: bool = True) -> None:
+        """Put them in rows where they stand; where nothing is touched: no push, and so nothing across it."""
+        A: Any = rows.A
+        A[name][:] = cone.rows
+        rows.lo[:] = cone.least if touches else 0.0
+        rows.hi[:] = self._most
+        if not touches:
+            rows.hi[0] = 0.0
 
     def told(self, contact: Contact, state: State, F: Array) -> dict[str, Any]:
         """What a wrench (6,) means at a surface: push [N], drag (2,) and the slip (2,) [m/s] across it, tilt [rad]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from . import quantity
 from . import spec as specs
+from .axes import MOMENTUM_AXES
 from .centroidal import com, middle
 from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, Settling, SphereContact, WorldAxesContact
@@ -23,6 +24,7 @@ from .friction import unilateral
 from .names import MOVING
 from .qp import Array
 from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, arc, constant, hold, quintic, ramp, sine
+from .relative import relative_axes
 from .robot import Robot
 from .surface import Sole
 from .transition import Reading
@@ -69,6 +71,12 @@ class Geometry:
                 self._push(name, entry, entry.push, contacts[name], q)
         references: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
+            if isinstance(task, specs.RelativeTask):
+                references[name] = self._seen_path(name, task, q)
+            if isinstance(task, specs.MomentumTask):
+                for axis, target in task.target.items():
+                    if isinstance(target, str):
+                        self.followed.setdefault(target, set()).add(MOMENTUM_AXES.index(axis))
             if isinstance(task, specs.ComTask) and task.reference is not None:
                 self.followed.setdefault(task.reference, set()).update((3, 4, 5))
             if not isinstance(task, MOVING):
@@ -142,6 +150,53 @@ class Geometry:
             return {}
         contacts = self.spec.contacts
         return {contacts[name].frame: share for name, share in entry.target.shares.items() if share}
+
+    def momentum(self, name: str, entry: specs.MomentumTask) -> Callable[[float], tuple[Array, Array]] | None:
+        """h_d and its derivative along all axes, by time; None where all of it is zero."""
+        if not entry.target:
+            return None
+        scalars = {}
+        for axis, target in entry.target.items():
+            i, path = MOMENTUM_AXES.index(axis), ("tasks", name, "target", axis)
+            if not isinstance(target, str):
+                scalars[i] = constant(target)
+            elif self.spec.references[target].kind == "hold":
+                scalars[i] = constant(0.0)
+            else:
+                scalars[i] = self._component(target, self.spec.references[target], i, path)
+
+        def desired(t: float) -> tuple[Array, Array]:
+            h, hdot = np.zeros(6), np.zeros(6)
+            for i, scalar in scalars.items():
+                h[i], hdot[i], _ = scalar(t)
+            return h, hdot
+
+        return desired
+
+    def _seen_path(self, name: str, entry: specs.RelativeTask, q: Array) -> Reference:
+        """Where a task wants one frame, seen from another."""
+        state, path = self.robot.state(q, np.zeros(self.robot.nv)), ("tasks", name, "target")
+        able = relative_axes(self.robot, entry.frame, entry.to)
+        if extra := [axis for axis in entry.axes if entry.axes != "all" and axis not in able]:
+            message = f"{self.spec.robot} cannot move {entry.frame} against {entry.to} along {', '.join(extra)}"
+            self.faults.add(("tasks", name, "axes"), f"{message}; expected some of {', '.join(able)}")
+        here = state.frame(entry.to).T.actInv(state.frame(entry.frame).T)
+        if entry.target is None:
+            still: Reference = self.made.setdefault(repr((entry.frame, entry.to)), Hold(here, relative=True))
+            return still
+        reference = self.spec.references[entry.target]
+        in_ = reference.curve.in_
+        axes = VELOCITY_AXES if entry.axes == "all" else entry.axes
+        self.followed.setdefault(entry.target, set()).update(VELOCITY_AXES.index(axis) for axis in axes)
+        if reference.kind not in ("hold", "profile") and in_ not in (SELF, entry.to):
+            message = f"reference {entry.target!r} is drawn in {in_!r}, but the pose is seen from {entry.to!r}"
+            self.faults.add(path, f"{message}; expected `in: {entry.to}` or `in: {SELF}` in the reference")
+            return Hold(here)
+        key = repr((entry.frame, entry.to, reference, q.tobytes()))
+        if key not in self.made:
+            self.made[key] = self._path(entry.target, here, path, seen_from=entry.to)
+        made: Reference = self.made[key]
+        return made
 
     def _check_axes(self, frame: str, axes: Sequence[str], path: Place) -> None:
         able = [VELOCITY_AXES[i] for i in self.robot.axes(frame)]
@@ -330,19 +385,19 @@ class Geometry:
             self.faults.add(path, f"{message}; expected a number, for a {reference.kind} gives {gives} only")
         return known.get(axis, constant(0.0))
 
-    def _path(self, name: str, here: pin.SE3, path: Place) -> Reference:
+    def _path(self, name: str, here: pin.SE3, path: Place, seen_from: str | None = None) -> Reference:
         reference = self.spec.references[name]
         in_, along, ends = reference.curve.in_, components(reference), duration(reference)
         if reference.kind == "profile":
             message = f"reference {name!r} is a number; expected a motion: hold, line, circle, lissajous or quintic"
             self.faults.add(path, message)
             return Hold(here)
-        if reference.kind == "hold" and in_ in ("world", SELF):
+        if reference.kind == "hold" and in_ in ("world", SELF, seen_from):
             return Hold(here, relative=True)
         if in_ == SELF:
             first = Path(pin.SE3.Identity(), along)(0.0).T
             return Path(here * first.inverse(), along, ends=ends, relative=True)
-        origin = pin.SE3.Identity() if in_ == "world" else self.robot.fixed_pose(in_)
+        origin = pin.SE3.Identity() if in_ in ("world", seen_from) else self.robot.fixed_pose(in_)
         turns = any(i < 3 for i in along)
         # a path of positions keeps the orientation that the frame starts with
         offset = None if turns else pin.SE3(origin.rotation.T @ here.rotation, np.zeros(3))

@@ -142,7 +142,8 @@ def hand_over(
         elif isinstance(task, ComTask):
             begun[name] = _com_taken_up(task, state)
         elif (reference := getattr(task, "reference", None)) is not None:
-            frame = state.frame(task.frame)  # type: ignore[attr-defined]
+            seen = getattr(task, "seen", None)
+            frame = state.frame(task.frame) if seen is None else seen(state)  # type: ignore[attr-defined]
             begun[name] = take_up(reference, state.t, frame.T, frame.V)
         else:
             begun[name] = Start(state.t, loads=lam or {})

@@ -94,6 +94,10 @@ class Compliance:
         """(s, 6) rows S that pick the axes of the task."""
         return self._S if self._S is not None else state.contacts[self.contact].free  # type: ignore[index]
 
+    def lift(self, state: State) -> Array:
+        """(6, s) pseudo-inverse of these rows."""
+        return self._S.T if self._S is not None else state.contacts[self.contact].lift  # type: ignore[index]
+
     def errors(self, T: pin.SE3, V: Array, desired: Sample) -> tuple[Array, Array, Array]:
         """(6,), (6,), (6,): X_e, V_e and d/dt(Ad V_d) of a frame at T that moves with V."""
         return pose_errors(T, V, desired, self.split)
@@ -108,7 +112,7 @@ class Compliance:
         S = self.selection(state)
         if F is None:
             return np.zeros(S.shape[0])
-        return -(S if self._S is not None else np.linalg.pinv(S).T).dot(F)
+        return -self.lift(state).T.dot(F)
 
     def feel(self, state: State, measured: Array | None, tau: Array, last: Felt) -> Felt:
         """The push of this tick; `measured` (6,) at the frame, `tau` what acted since the last tick."""
@@ -188,7 +192,7 @@ class AdmittanceTask(Compliance):
         X_e, V_e, ahead = self.errors(T, V, self.desired(state))
         spring = self.B.dot(S.dot(V_e)) + self.K.dot(S.dot(X_e))
         along = S.dot(ahead) + self._inverse.dot(spring + self.push(state))
-        motion = np.column_stack((V, ahead + np.linalg.pinv(S).dot(along - S.dot(ahead))))
+        motion = np.column_stack((V, ahead + self.lift(state).dot(along - S.dot(ahead))))
         return felt._replace(T=T.homogeneous, motion=motion)
 
     def _moved(self, state: State, pose: Array, motion: Array) -> tuple[pin.SE3, Array]:
@@ -200,7 +204,7 @@ class AdmittanceTask(Compliance):
         if S.shape[0] == 6:
             return T, V
         frame = state.frame(self.frame)
-        P, still = np.linalg.pinv(S).dot(S), Sample(T, np.column_stack((V, np.zeros(6))))
+        P, still = self.lift(state).dot(S), Sample(T, np.column_stack((V, np.zeros(6))))
         X, V_e, _ = self.errors(frame.T, frame.V, still)
         X, V = P.dot(X), frame.V + P.dot(V_e)
         if self.split:

@@ -78,9 +78,8 @@ def frame(
         table[3 + i, n] = place[0, i] * b0 + place[1, i] * b1 + place[2, i] * b2
 
 
-@_compiled(types.void, _m, _m, _M, _V)
-def select(basis: Array, table: Array, out: Array, bias: Array) -> None:
-    """out = basis table, and bias its column of drifts with the sign turned."""
+@_inner
+def _select(basis: Array, table: Array, out: Array, bias: Array) -> None:
     n = table.shape[1]
     for i in range(basis.shape[0]):
         for j in range(n):
@@ -91,9 +90,19 @@ def select(basis: Array, table: Array, out: Array, bias: Array) -> None:
         bias[i] = -out[i, n - 2]
 
 
-@_compiled(types.void, _m, _m, _F, _v, _M, _V)
-def rolling(R_p: Array, R_f: Array, radius: float, V: Array, basis: Array, Adot_V: Array) -> None:
-    """Of a sphere on a plane with the axes R_p, its frame at R_f with twist V: A and free rows, and Adot V (`foot`)."""
+@_compiled(types.void, _m, _m, _M, _V)
+def select(basis: Array, table: Array, out: Array, bias: Array) -> None:
+    """out = basis table, and bias its column of drifts with the sign turned."""
+    _select(basis, table, out, bias)
+
+
+@_compiled(types.void, _m, _m, _F, _m, _M, _M, _V, _M, _V)
+def rolling(
+    R_p: Array, R_f: Array, radius: float, table: Array, basis: Array, inverse: Array, Adot_V: Array, out: Array,
+    bias: Array,
+) -> None:  # fmt: skip
+    """Of a sphere on a plane with the axes R_p, its frame at R_f: A and free rows, (A')^+, Adot V; then as `select`."""
+    V = table[:, table.shape[1] - 1]
     X = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
@@ -101,13 +110,21 @@ def rolling(R_p: Array, R_f: Array, radius: float, V: Array, basis: Array, Adot_
     for j in range(3):
         basis[0, j], basis[1, j], basis[2, j] = -radius * X[1, j], radius * X[0, j], 0.0
         for i in range(3):
-            basis[i, 3 + j] = basis[3 + i, j] = X[i, j]
-            basis[3 + i, 3 + j] = 0.0
+            basis[i, 3 + j] = basis[3 + i, j] = inverse[i, 3 + j] = X[i, j]
+            basis[3 + i, 3 + j] = inverse[i, j] = 0.0
     x = V[1] * V[5] - V[2] * V[4]
     y = V[2] * V[3] - V[0] * V[5]
     z = V[0] * V[4] - V[1] * V[3]
     for i in range(3):
         Adot_V[i] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z
+    _select(basis, table, out, bias)
+
+
+@_compiled(types.void, _v, _v, _F, _F, _V)
+def settle(Adot_V: Array, slip: Array, rate: float, most: float, rhs: Array) -> None:
+    """rhs -= Adot V + c with c = rate A V, each at most `most`."""
+    for i in range(rhs.size):
+        rhs[i] -= Adot_V[i] + min(max(rate * slip[i], -most), most)
 
 
 @_compiled(types.void, _m, _v, _v, _V)
@@ -188,81 +205,192 @@ def log(R: Array, p: Array, X: Array) -> None:
     _log(R, p, X)
 
 
-@_compiled(types.void, _m, _v, _v, _m, _v, _m, _m, _V)
-def computed_torque(R: Array, p: Array, V: Array, R_d: Array, p_d: Array, motion: Array, K: Array, y: Array) -> None:
-    """y = Ad Vdot_d - ad_V (Ad V_d) + [Kp, Kd] (X_e, V_e) of a frame at (R, p); `motion` = [V_d | Vdot_d]."""
-    E, e, X = np.empty((3, 3)), np.empty(3), np.empty(6)
+@_inner
+def _errors(
+    R: Array,
+    p: Array,
+    V: Array,
+    R_d: Array,
+    p_d: Array,
+    motion: Array,
+    split: bool,
+    X_e: Array,
+    V_e: Array,
+    ahead: Array,
+) -> None:
+    E, e, V_d = np.empty((3, 3)), np.empty(3), np.empty(6)
     for i in range(3):
         e[i] = 0.0
         for k in range(3):
             e[i] += R[k, i] * (p_d[k] - p[k])
         for j in range(3):
             E[i, j] = R[0, i] * R_d[0, j] + R[1, i] * R_d[1, j] + R[2, i] * R_d[2, j]
-    _log(E, e, X)
-    ahead = np.empty((2, 6))  # Ad V_d and Ad Vdot_d
-    for m in range(2):
-        for i in range(3):
-            ahead[m, i] = ahead[m, 3 + i] = 0.0
-            for k in range(3):
-                ahead[m, i] += E[i, k] * motion[k, m]
-                ahead[m, 3 + i] += E[i, k] * motion[3 + k, m]
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            ahead[m, 3 + i] += e[j] * ahead[m, k] - e[k] * ahead[m, j]
-    V_d = ahead[0]
+    _log(E, e, X_e)
+    for i in range(3):
+        V_d[i] = V_d[3 + i] = ahead[i] = ahead[3 + i] = 0.0
+        for k in range(3):
+            V_d[i] += E[i, k] * motion[k, 0]
+            V_d[3 + i] += E[i, k] * motion[3 + k, 0]
+            ahead[i] += E[i, k] * motion[k, 1]
+            ahead[3 + i] += E[i, k] * motion[3 + k, 1]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        y[i] = ahead[1, i] - (V[j] * V_d[k] - V[k] * V_d[j])
-        y[3 + i] = ahead[1, 3 + i] - (V[j] * V_d[3 + k] - V[k] * V_d[3 + j] + V[3 + j] * V_d[k] - V[3 + k] * V_d[j])
+        if split:  # the straight way, and the acceleration of the origin less what the frame turns
+            X_e[3 + i] = e[i]
+            ahead[3 + i] += V_d[j] * V_d[3 + k] - V_d[k] * V_d[3 + j] - (V[j] * V[3 + k] - V[k] * V[3 + j])
+        else:
+            ahead[3 + i] += e[j] * ahead[k] - e[k] * ahead[j]
+    if not split:
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            V_d[3 + i] += e[j] * V_d[k] - e[k] * V_d[j]
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            turned = V[j] * V_d[3 + k] - V[k] * V_d[3 + j]
+            ahead[3 + i] -= turned + V[3 + j] * V_d[k] - V[3 + k] * V_d[j]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        ahead[i] -= V[j] * V_d[k] - V[k] * V_d[j]
+    for i in range(6):
+        V_e[i] = V_d[i] - V[i]
+
+
+@_compiled(types.void, _m, _v, _v, _m, _v, _m, types.boolean, _V, _V, _V)
+def pose_errors(
+    R: Array,
+    p: Array,
+    V: Array,
+    R_d: Array,
+    p_d: Array,
+    motion: Array,
+    split: bool,
+    X_e: Array,
+    V_e: Array,
+    ahead: Array,
+) -> None:
+    """X_e, V_e and d/dt(Ad V_d) of a frame at (R, p) that moves with V; `motion` = [V_d | Vdot_d]."""
+    _errors(R, p, V, R_d, p_d, motion, split, X_e, V_e, ahead)
+
+
+@_compiled(types.void, _m, _v, _v, _m, _v, _m, _m, _V)
+def computed_torque(R: Array, p: Array, V: Array, R_d: Array, p_d: Array, motion: Array, K: Array, y: Array) -> None:
+    """y = d/dt(Ad V_d) + [Kp, Kd] (X_e, V_e) of a frame at (R, p)."""
+    X_e, V_e = np.empty(6), np.empty(6)
+    _errors(R, p, V, R_d, p_d, motion, False, X_e, V_e, y)
     for i in range(6):
         for j in range(6):
-            y[i] += K[i, j] * X[j] + K[i, 6 + j] * (V_d[j] - V[j])
+            y[i] += K[i, j] * X_e[j] + K[i, 6 + j] * V_e[j]
 
 
 @_inner
 def _factor(A: Array, L: Array) -> float:
-    """A = L L', with 1/L_ii on the diagonal of L. The smallest over the largest pivot, 0 where A is not definite."""
+    """A = L'L, L lower, with 1/L_ii on its diagonal. The smallest over the largest pivot, 0 where A is not definite.
+
+    From the last row up: of a tree's mass matrix the zeros stay zeros, and are left out (Featherstone 2008, 6.5).
+    """
     n = A.shape[0]
-    small, large = math.inf, 0.0
     for i in range(n):
         for j in range(i + 1):
-            s = A[i, j]
-            for k in range(j):
-                s -= L[i, k] * L[j, k]
-            if i == j:
-                if not s > 0.0:
-                    return 0.0
-                small, large = min(small, s), max(large, s)
-                L[i, i] = 1.0 / math.sqrt(s)
-            else:
-                L[i, j] = s * L[j, j]
-    return small / large
+            L[i, j] = A[i, j]
+    small, large = math.inf, 0.0
+    for k in range(n - 1, -1, -1):
+        pivot = L[k, k]
+        if not pivot > 0.0:
+            return 0.0
+        small, large = min(small, pivot), max(large, pivot)
+        root = 1.0 / math.sqrt(pivot)
+        L[k, k] = root
+        for j in range(k):
+            L[k, j] *= root
+        for i in range(k):
+            l = L[k, i]
+            if l != 0.0:
+                for j in range(i + 1):
+                    L[i, j] -= l * L[k, j]
+    return small / large if n else 1.0
 
 
 @_inner
 def _forward(L: Array, B: Array) -> None:
-    """B := L^-1 B, rows of B at a time."""
+    """B := L^-T B, rows of B at a time."""
     n, m = B.shape
-    for i in range(n):
-        for k in range(i):
-            l = L[i, k]
-            for j in range(m):
-                B[i, j] -= l * B[k, j]
+    for k in range(n - 1, -1, -1):
         for j in range(m):
-            B[i, j] *= L[i, i]
+            B[k, j] *= L[k, k]
+        for i in range(k):
+            l = L[k, i]
+            if l != 0.0:
+                for j in range(m):
+                    B[i, j] -= l * B[k, j]
 
 
 @_inner
 def _backward(L: Array, B: Array) -> None:
-    """B := L^-T B."""
+    """B := L^-1 B."""
     n, m = B.shape
-    for i in range(n - 1, -1, -1):
+    for k in range(n):
+        for i in range(k):
+            l = L[k, i]
+            if l != 0.0:
+                for j in range(m):
+                    B[k, j] -= l * B[i, j]
         for j in range(m):
-            B[i, j] *= L[i, i]
-        for k in range(i):
-            l = L[i, k]
-            for j in range(m):
-                B[k, j] -= l * B[i, j]
+            B[k, j] *= L[k, k]
+
+
+@_inner
+def _gram(X: Array, K: Array) -> None:
+    """K = X'X."""
+    n, m = X.shape
+    S = np.zeros((m, m))
+    for k in range(n):
+        for i in range(m):
+            x = X[k, i]
+            if x != 0.0:
+                for j in range(i + 1):
+                    S[i, j] += x * X[k, j]
+    for i in range(m):
+        for j in range(i + 1):
+            K[i, j] = K[j, i] = S[i, j]
+
+
+@_compiled(types.boolean, _m, _M)
+def inverse(A: Array, out: Array) -> bool:
+    """out = A^-1, symmetric. False, and out is what it was, where A is nearly singular or not definite."""
+    n = A.shape[0]
+    L, X = np.empty((n, n)), np.zeros((n, n))
+    if not _factor(A, L) > 1e-14:
+        return False
+    for i in range(n):
+        X[i, i] = 1.0
+    _backward(L, X)  # A^-1 = L^-1 L^-T
+    for i in range(n):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(j + 1):
+                s += X[i, k] * X[j, k]
+            out[i, j] = out[j, i] = s
+    return True
+
+
+@_compiled(types.boolean, _m, _m, _M, _M)
+def mobility(M: Array, G: Array, lifted: Array, K: Array) -> bool:
+    """lifted (n, m) = M^-1 G', where it has columns, and K = G M^-1 G'. False where M is not definite."""
+    m, n = G.shape
+    L, X = np.empty((n, n)), np.empty((n, m))
+    for i in range(n):
+        for j in range(m):
+            X[i, j] = G[j, i]
+    if not _factor(M, L) > 0.0:
+        K[:] = math.nan
+        lifted[:] = math.nan
+        return False
+    _forward(L, X)
+    _gram(X, K)
+    if lifted.size:
+        _backward(L, X)
+        lifted[:] = X
+    return True
 
 
 @_compiled(types.boolean, _m, _m, _v, _v, _V, _M)
@@ -276,13 +404,8 @@ def gauss(M: Array, G: Array, b: Array, vdot: Array, x: Array, K: Array) -> bool
     if not _factor(M, L) > 0.0:
         K[:] = math.nan
         return False
-    _forward(L, X)  # K = (L^-1 G')' (L^-1 G')
-    for i in range(m):
-        for j in range(i + 1):
-            s = 0.0
-            for k in range(n):
-                s += X[k, i] * X[k, j]
-            K[i, j] = K[j, i] = s
+    _forward(L, X)  # K = (L^-T G')' (L^-T G')
+    _gram(X, K)
     if not _factor(K, S) > 1e-14:
         return False
     r = np.empty((m, 1))
@@ -358,6 +481,127 @@ def add_square(metric: Array, target: Array, weight: float, H: Array, g: Array) 
         g[i] -= weight * s
 
 
+@_compiled(types.void, _m, _m, _v, _M, _M, _V)
+def equations(M: Array, push: Array, bias: Array, base: Array, joints: Array, nothing: Array) -> None:
+    """[M, push'], its first rows in `base` and the others in `joints`; nothing = -bias of the first."""
+    n, k, b = M.shape[0], push.shape[0], base.shape[0]
+    for i in range(b):
+        for j in range(n):
+            base[i, j] = M[i, j]
+        for j in range(k):
+            base[i, n + j] = push[j, i]
+        nothing[i] = -bias[i]
+    for i in range(n - b):
+        for j in range(n):
+            joints[i, j] = M[b + i, j]
+        for j in range(k):
+            joints[i, n + j] = push[j, b + i]
+
+
+@_compiled(types.void, _m, _m, types.int64, _M)
+def within(K: Array, W: Array, first: int, out: Array) -> None:
+    """out = K_oo - K_ho' W K_ho: a mobility of the rows `first` and on, in what those of W, the first, leave."""
+    m, k = out.shape[0], W.shape[0]
+    for j in range(m):
+        for i in range(j + 1):
+            s = K[first + i, first + j]
+            for a in range(k):
+                t = 0.0
+                for b in range(k):
+                    t += W[a, b] * K[b, first + j]
+                s -= K[a, first + i] * t
+            out[i, j] = out[j, i] = s
+
+
+@_compiled(types.void, _m, _v, _m, _v, _m, _v, _v, _m, _V)
+def point_target(
+    R: Array, p: Array, motion: Array, c: Array, J: Array, v: Array, drift: Array, K: Array, b: Array
+) -> None:
+    """b = pddot + [Kp, Kd] (p - c, pdot - J v) - drift of a point that follows p, which moves as `motion` in axes R."""
+    w0, w1, w2 = motion[0, 0], motion[1, 0], motion[2, 0]
+    u0, u1, u2 = motion[3, 0], motion[4, 0], motion[5, 0]
+    a = (motion[3, 1] + w1 * u2 - w2 * u1, motion[4, 1] + w2 * u0 - w0 * u2, motion[5, 1] + w0 * u1 - w1 * u0)
+    e = np.empty(6)
+    for i in range(3):
+        e[i] = p[i] - c[i]
+        e[3 + i] = R[i, 0] * u0 + R[i, 1] * u1 + R[i, 2] * u2
+        for j in range(v.size):
+            e[3 + i] -= J[i, j] * v[j]
+        b[i] = R[i, 0] * a[0] + R[i, 1] * a[1] + R[i, 2] * a[2] - drift[i]
+    for i in range(3):
+        for j in range(6):
+            b[i] += K[i, j] * e[j]
+
+
+@_compiled(types.void, _m, _m, _F, _V, _M)
+def carried(push: Array, A: Array, radius: float, weight: Array, S: Array) -> None:
+    """weight (k,): 1 of a row of A that is a unit force, 1/radius^2 of a moment; S = P diag(weight)^-1 P'.
+
+    P' (k, 6) are the first columns of `push`: what the multipliers do to a floating base.
+    """
+    S[:] = 0.0
+    for k in range(A.shape[0]):
+        size = 0.0
+        for j in range(3):
+            size += radius * radius * A[k, j] * A[k, j] + A[k, 3 + j] * A[k, 3 + j]
+        weight[k] = 1.0 / size
+        for i in range(6):
+            for j in range(i + 1):
+                S[i, j] += push[k, i] * push[k, j] * size
+    for i in range(6):
+        for j in range(i):
+            S[j, i] = S[i, j]
+
+
+@_compiled(types.void, _m, _v, _m, _v, _M, _V)
+def share(push: Array, weight: Array, Y: Array, bias: Array, D: Array, lam: Array) -> None:
+    """D = diag(weight)^-1 P' Y, and lam -= D (bias + P lam)."""
+    k = weight.size
+    r = np.empty(6)
+    for a in range(6):
+        r[a] = bias[a]
+    for i in range(k):
+        for a in range(6):
+            r[a] += push[i, a] * lam[i]
+    for i in range(k):
+        for a in range(6):
+            s = 0.0
+            for b in range(6):
+                s += push[i, b] * Y[b, a]
+            D[i, a] = s / weight[i]
+            lam[i] -= D[i, a] * r[a]
+
+
+@_compiled(types.void, _m, _m, _v, _F, _M, _V)
+def add_rows(A: Array, metric: Array, target: Array, weight: float, H: Array, g: Array) -> None:
+    """Adds weight / 2 |A x - target|^2 in the metric to H and g."""
+    m, n = A.shape
+    C, WA, S = np.empty((m, n)), np.zeros((m, n)), np.zeros((n, n))
+    for i in range(m):
+        for j in range(n):
+            C[i, j] = A[i, j]
+    for i in range(m):
+        for k in range(m):
+            w = weight * metric[i, k]
+            if w != 0.0:
+                for j in range(n):
+                    WA[i, j] += w * C[k, j]
+    for k in range(m):
+        t = target[k]
+        for j in range(n):
+            g[j] -= t * WA[k, j]
+        for i in range(n):
+            c = C[k, i]
+            if c != 0.0:
+                for j in range(i + 1):
+                    S[i, j] += c * WA[k, j]
+    for i in range(n):
+        H[i, i] += S[i, i]
+        for j in range(i):
+            H[i, j] += S[i, j]
+            H[j, i] += S[i, j]
+
+
 @_inner
 def _closing(gap: float, soft: float, j: float, settle: float) -> float:
     """m(e) of `limit`, and for a gap that is overstepped a return with the time constant T."""
@@ -366,7 +610,7 @@ def _closing(gap: float, soft: float, j: float, settle: float) -> float:
 
 @_compiled(types.void, _v, _v, _F, _m, _F, _V, _V)
 def braking_bounds(q: Array, v: Array, dt: float, sides: Array, settle: float, lo: Array, hi: Array) -> None:
-    """Bounds on vdot of `limit`; `sides` (6, 2 n) are edge, v_max, a, l, the way back, j of upper, then lower sides."""
+    """Bounds on vdot of `limit`; `sides` (7, 2 n): edge, v_max, a, l, the way back, j, a_max, upper then lower."""
     n = q.size
     for i in range(n):
         for side in range(2):
@@ -375,7 +619,7 @@ def braking_bounds(q: Array, v: Array, dt: float, sides: Array, settle: float, l
             edge, v_max, a, lead, back, j = sides[0, k], sides[1, k], sides[2, k], sides[3, k], sides[4, k], sides[5, k]
             soft = 0.5 * settle * j
             speed, room = sign * v[i], edge - sign * (q[i] + dt * v[i])
-            most = _closing(v_max - speed, soft, j, settle)
+            most = min(_closing(v_max - speed, soft, j, settle), sides[6, k])
             if room < math.inf:
                 root = math.sqrt(lead * lead + 2.0 * a * max(room, 0.0))
                 slope = a / root
@@ -443,10 +687,16 @@ def sense(
 @_compiled(_F, _v)
 def total(values: Array) -> float:
     """The sum: a number only where all of them are."""
-    s = 0.0
-    for value in values:
-        s += value
-    return s
+    s, t, u, w = 0.0, 0.0, 0.0, 0.0  # four at a time: each waits for its own last sum alone
+    last = values.size - values.size % 4
+    for i in range(0, last, 4):
+        s += values[i]
+        t += values[i + 1]
+        u += values[i + 2]
+        w += values[i + 3]
+    for i in range(last, values.size):
+        s += values[i]
+    return (s + t) + (u + w)
 
 
 @_compiled(types.void, _m, _v, _v, _v, _v, _V)

@@ -1,4 +1,4 @@
-"""Limits of torque, its rate, and of joint position and velocity, as rows.
+"""Limits of torque, its rate, and of joint position, velocity and acceleration, as rows.
 
 Torque and its rate bound the affine torque map. Position and velocity bound `vdot` such that the joint can always
 brake in time with a deceleration `a` that builds up at a jerk `j`. With d [rad] the room to the edge and v the speed
@@ -10,6 +10,10 @@ towards it, a state is kept where
 and where vdot <= m(v_max - v). The second line keeps the gap e = w - v from ever closing (de/dt >= -m(e)), and spends
 half of the jerk on it; the bend of w takes less than the other half. Near the edge both end exponentially, m with the
 time constant T, so that a joint that is pressed into its limit comes to rest there.
+
+An acceleration limit bounds |vdot| <= a_max beside these. No bound is ever empty: `a` is chosen no larger than a_max,
+every line above brakes with `a` at most, from beyond a limit too, and so the least that one side asks for and the most
+that the other allows always leave [-a, a] in common with [-a_max, a_max].
 """
 
 from __future__ import annotations
@@ -71,14 +75,26 @@ class TorqueLimit:
 
 
 class JointLimit:
-    """Position and velocity limits that the joint can always brake to meet.
+    """Position, velocity and acceleration limits that the joint can always brake to meet.
 
     q, v are (nv,) [rad, rad/s]; `a` [rad/s^2] the braking deceleration, `j` [rad/s^3] its build-up; all per joint.
-    Infinite limits bind nothing. Of a floating base (`FloatingJointLimit`) these are the joints alone.
+    `a_max` [rad/s^2] bounds the acceleration itself, and with it `a`; None for none. Infinite limits bind nothing. Of a
+    floating base (`FloatingJointLimit`) these are the joints alone.
     """
 
-    def __init__(self, q_min: Array, q_max: Array, v_max: Array, a: Array, j: Array, joints: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        q_min: Array,
+        q_max: Array,
+        v_max: Array,
+        a: Array,
+        j: Array,
+        joints: tuple[str, ...],
+        a_max: Array | None = None,
+    ) -> None:
         both = np.concatenate
+        self.a_max = np.full(v_max.size, np.inf) if a_max is None else a_max
+        a = np.minimum(a, self.a_max)
         self.n, self.joints = v_max.size, joints
         # of each: towards the upper, then the lower edge
         self._edge, self._v_max, self.j = both((q_max, -q_min)), both((v_max, v_max)), both((j, j))
@@ -86,7 +102,9 @@ class JointLimit:
         self.a = np.minimum(both((a, a)), 0.5 * np.sqrt(self._v_max * self.j))
         self._lead = np.maximum(2.0 * self.a * self.a / self.j, self.a * SETTLE)  # [rad/s] l, w'(0) <= 1/T
         back = -np.minimum(0.1 * self.a, self._v_max)  # [rad/s] the way back from beyond the edge
-        self._table = np.stack((self._edge, self._v_max, self.a, self._lead, back, self.j))
+        self._table = np.stack(
+            (self._edge, self._v_max, self.a, self._lead, back, self.j, both((self.a_max, self.a_max)))
+        )
 
     def viable_speed(self, q: Array) -> Array:
         """(2 nv,) the largest speed towards the upper, then the lower edge from which the joint stops in time.
@@ -115,8 +133,11 @@ class JointLimit:
     def labels(self) -> tuple[str, ...]:
         return tuple(f"joint[{joint}]" for joint in self.joints)
 
-    def name(self, i: int, upper: bool, q: Array) -> str:
-        """What bounds joint i on that side: `position[joint]` or `velocity[joint]`."""
+    def name(self, i: int, upper: bool, q: Array, bound: float = 0.0) -> str:
+        """What bounds joint i on that side: `position[joint]`, `velocity[joint]`, or where `bound`, which is that of
+        vdot, is the acceleration limit, `acceleration[joint]`."""
+        if abs(bound) >= self.a_max[i]:
+            return f"acceleration[{self.joints[i]}]"
         i_side = i if upper else i + self.n
         near = self.viable_speed(q)[i_side] < self._v_max[i_side]
         return f"{'position' if near else 'velocity'}[{self.joints[i]}]"
@@ -174,7 +195,10 @@ def _fair(inertia: Array, effort: Array) -> Array:
 
 
 def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, JointLimit | None]:
-    """Limits from `torque`, `torque_rate`, `position`, `velocity`: "model", a number or (nu,) within it, or None."""
+    """Limits from `torque`, `torque_rate`, `position`, `velocity`, `acceleration`.
+
+    Each is "model", a number or (nu,) within the model's, or None.
+    """
     n = robot.nu
 
     def value(name: str, model: Array) -> Array:
@@ -196,11 +220,16 @@ def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, J
         low = -high
     rate = value("torque_rate", free)
     torque = TorqueLimit(low, high, rate, robot.joints)
-    position, v_max = limits.get("position", "model"), value("velocity", robot.v_max)
-    if robot.nq != n + (7 if robot.base else 0) or (position is None and not np.isfinite(v_max).any()):
+    position, v_max, a_max = (
+        limits.get("position", "model"),
+        value("velocity", robot.v_max),
+        value("acceleration", free),
+    )
+    unbound = position is None and not (np.isfinite(v_max).any() or np.isfinite(a_max).any())
+    if robot.nq != n + (7 if robot.base else 0) or unbound:
         return torque, None
     margin = float(position) if isinstance(position, (int, float)) else 0.0
     q_min, q_max = (free * -1, free) if position is None else (robot.q_min + margin, robot.q_max - margin)
     a, j = braking(robot, low, high, rate)
     kind = FloatingJointLimit if robot.base else JointLimit
-    return torque, kind(q_min, q_max, v_max, a, j, robot.joints)
+    return torque, kind(q_min, q_max, v_max, a, j, robot.joints, a_max)

@@ -18,6 +18,8 @@
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
     TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
+    TASK.angle.rms_error, .max_error               gaze: between the axis and the direction to its target [rad]
+    TASK.kx.rms_error, .max_error ... TASK.lz ...  momentum: against its target, along its axes [N m s, N s]
     TASK.SCREW.rms_error, .max_error               distance along a free screw of the contact [rad; m of a slide]
     TASK.mass_error, .damping_error, .stiffness_error      what a push feels against M, B, K of a compliant task [1]
     TASK.law.mass_error, ...                       the same, with what law and tick predict taken off (`response`)
@@ -44,12 +46,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import response, stance
+from .centroidal import MomentumTask
 from .contact import AxesContact, Contact
 from .log import Log
 from .qp import Array
+from .relative import GazeTask
 from .task import ForceTask, MotionTask
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
+_LOGGED: dict[type, str] = {GazeTask: "angle", MomentumTask: "lacking"}
 SLIDING = 0.01  # [m/s] from which the direction of friction is judged
 ALWAYS = (
     "torque.max_excess", "torque.max_share", "torque_rate.max", "torque_rate.max_excess", "joint.max_excess",
@@ -78,12 +83,20 @@ def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
                 names += [
                     f"{name}.{screw}.{figure}" for screw in _screws(task) for figure in ("rms_error", "max_error")
                 ]
+            names += [f"{name}.{each}.{figure}" for each in _of_body(task) for figure in ("rms_error", "max_error")]
     return sorted({*names, *stance.names(phases, plant)})
 
 
 _MOTION = (
     "position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max", "overshoot",
 )  # fmt: skip
+
+
+def _of_body(task: Any) -> tuple[str, ...]:
+    """Quantities of a gaze and of a momentum."""
+    return ("angle",) if isinstance(task, GazeTask) else task.axes if isinstance(task, MomentumTask) else ()
+
+
 IMPACT = 0.02  # [s] after a touch in which its force is at its peak
 
 
@@ -129,6 +142,12 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         out[f"{name}.speed.max"] = float(speed[late].max()) if late.any() else math.nan
         beyond = (speed - log[f"{name}.desired_speed"])[always]
         out[f"{name}.overshoot"] = float(max(0.0, beyond.max())) if always.any() else math.nan
+    for name, task in tasks.items():
+        if isinstance(task, GazeTask | MomentumTask) and f"{name}.{_LOGGED[type(task)]}" in log:
+            late = _late(log, [name in phase.tasks for phase in phases], settle)
+            error = log[f"{name}.{_LOGGED[type(task)]}"][late].reshape(-1, len(_of_body(task)))
+            for i, quantity in enumerate(_of_body(task)):
+                out |= _errors(f"{name}.{quantity}", error[:, i])
     for name in {name for phase in phases for name in phase.contacts}:
         force = np.linalg.norm(log[f"{name}.true"], axis=1) > 0.0
         active = [name in phase.contacts for phase in phases]

@@ -74,8 +74,13 @@ def _told(error: ModelError) -> str:
 def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
     """Every frame, joint and keyframe that the spec names is one of the robot, its tool or the scene."""
     names = _Names(spec, robot, faults)
+    # a reference of a pose seen from a frame may be drawn in that frame, which moves
+    seen_from = {task.target: task.to for task in spec.tasks.values() if isinstance(task, specs.RelativeTask)}
+    for task in spec.tasks.values():
+        if not isinstance(task, specs.RelativeTask):
+            seen_from.pop(str(getattr(task, "target", "")), None)
     for name, reference in spec.references.items():
-        if reference.curve.in_ not in ("world", "self"):
+        if reference.curve.in_ not in ("world", "self", seen_from.get(name)):
             names.frame(reference.curve.in_, ("references", name, reference.kind, "in"), fixed=True)
     for name, contact in spec.contacts.items():
         names.frame(contact.frame, ("contacts", name, "frame"), moves=True, body=True)
@@ -89,6 +94,8 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
     for name, task in spec.tasks.items():
         if isinstance(task, MOVING) and task.frame is not None:
             names.frame(task.frame, ("tasks", name, "frame"), moves=True, body=not isinstance(task, specs.MotionTask))
+        if isinstance(task, specs.RelativeTask | specs.GazeTask):
+            names.pair(task, name)
         if isinstance(task, specs.PostureTask):
             names.pose(task.target, ("tasks", name, "target"), "start")
     if spec.plant.payload_at is not None:
@@ -99,7 +106,7 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
         names.mocap(body, ("plant", "moves", body))
     if spec.start is not None:
         names.pose(spec.start, ("start",))
-    for limit in ("torque", "torque_rate", "velocity"):
+    for limit in ("torque", "torque_rate", "velocity", "acceleration"):
         value = getattr(spec.limits, limit)
         if isinstance(value, dict):
             names.joints(value, ("limits", limit))
@@ -131,6 +138,20 @@ class _Names:
             self.faults.add(path, f"frame {name!r} is fixed to the world; expected one of the robot or its tool")
         elif body and frame.type == pin.FrameType.JOINT:
             self.faults.add(path, f"frame {name!r} is that of a joint; expected a body or a site")
+
+    def pair(self, task: specs.RelativeTask | specs.GazeTask, name: str) -> None:
+        """Two frames that the robot moves against one another."""
+        key = "to" if isinstance(task, specs.RelativeTask) else "at"
+        other = getattr(task, key)
+        self.frame(task.frame, ("tasks", name, "frame"), moves=True)
+        if not isinstance(other, str):
+            return
+        self.frame(other, ("tasks", name, key))
+        if not {task.frame, other} <= set(self.robot.frames):
+            return
+        if self.robot.wrench_map(task.frame, other) is not None:
+            message = f"{task.frame!r} and {other!r} are on one link; expected a frame that moves against it"
+            self.faults.add(("tasks", name, key), message)
 
     def mocap(self, name: str, path: Place) -> None:
         """A body that the simulator can move by hand."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from .axes import WRENCH_AXES
 from .qp import Array
@@ -39,7 +40,7 @@ class Outside:
             body, R, p = carried(self.model, data, push.frame)
             f = R @ F[3:]
             data.xfrc_applied[body, :3] += f
-            data.xfrc_applied[body, 3:] += R @ F[:3] + np.cross(p - data.xipos[body], f)
+            data.xfrc_applied[body, 3:] += R @ F[:3] + pin.skew(p - data.xipos[body]) @ f
 
     def move(self, data: mujoco.MjData) -> None:
         for body, move in self.moves.items():

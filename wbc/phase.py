@@ -12,15 +12,18 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from .centroidal import ComTask, WholeBodyPosture
+from .centroidal import ComTask, MomentumTask, WholeBodyPosture
 from .contact import Contact
 from .dynamics import fill, gauss, inertia, mobility, torque_map
+from .effort import TorqueTask
 from .errors import LawError, NameNotFound
+from .friction import Cone
 from .hierarchy import level
 from .hierarchy import solve as descend
 from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_limits
 from .qp import Array, Rows, Variables, Workspace
+from .relative import GazeTask
 from .robot import Robot, State
 from .solver import Solution, Solver, answer, make
 from .task import ForceTask, MotionTask, PostureTask, Task
@@ -96,7 +99,9 @@ def place(
         contact = getattr(task, "contact", None)
         if contact is not None and contact not in contacts:
             raise NameNotFound(f"contact (of task {name!r})", contact, contacts)
-        robot.frame_id(getattr(task, "frame", robot.frames[0]))
+        for key in ("frame", "to", "at"):
+            if isinstance(named := getattr(task, key, None), str):
+                robot.frame_id(named)
         for shared in getattr(task, "shares", ()):
             if shared not in contacts:
                 raise NameNotFound(f"contact (of task {name!r})", shared, contacts)
@@ -115,7 +120,7 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
     state = State(start.terms, start.q, start.v)
     hold(state, phase)
     rows = [held.G for held in state.contacts.values()]
-    moving = MotionTask | Compliance | ComTask
+    moving = MotionTask | Compliance | ComTask | MomentumTask | GazeTask
     rows += [task.target(state)[0] for task in phase.tasks.values() if isinstance(task, moving)]
     rank = np.linalg.matrix_rank(np.concatenate(rows)) if rows else 0
     postures = [name for name, task in phase.tasks.items() if isinstance(task, PostureTask)]
@@ -184,7 +189,8 @@ class Program:
         self.motion = {n: t for n, t in phase.tasks.items() if isinstance(t, MotionTask)}
         self.force = {t.contact: (n, t) for n, t in phase.tasks.items() if isinstance(t, ForceTask)}
         self.posture = {n: t for n, t in phase.tasks.items() if isinstance(t, PostureTask)}
-        known = (MotionTask, ForceTask, PostureTask)
+        self.effort = {n: t for n, t in phase.tasks.items() if isinstance(t, TorqueTask)}
+        known = (MotionTask, ForceTask, PostureTask, TorqueTask)
         other = {n: t for n, t in phase.tasks.items() if not isinstance(t, known)}
         self.above: dict[str, Task] = {**self.motion, **other}  # what the posture stays out of
         # one motion task's rows hold the contacts' as well: then they are all that stands above the posture
@@ -222,13 +228,14 @@ class Program:
         # the same with joint viability allowed to yield, for ticks that have no answer otherwise
         self.yielding = None
         if joint is not None:
-            joint = joint._replace(A={"vdot": None, "yield": None})
-            self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, joint])
+            soft = joint._replace(A={"vdot": None, "yield": None})
+            self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, soft])
         self._rescue = make("proxqp")  # of levels that the solver refuses
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[Cost] = []
         self._torque, self._joint = self.strict.stored["torque"], self.strict.stored.get("joint")
-        self._hard: list[Rows] = []
+        self._hard = [self.strict.stored[rows.name] for rows in ([*hard, joint] if joint else hard)]
+        self._standing: dict[str, tuple[Cone, bool]] = {}  # whose rows stand in the problem, and whether lifted
         self.window: tuple[Array, Array] = (phase.torque.low, phase.torque.high)  # [N m] of the torque at this tick
 
     def named(self, starts: Mapping[str, Any]) -> Mapping[Any, Any]:
@@ -245,17 +252,14 @@ class Program:
 
     def assemble(self, state: State, tau_last: Array, dt: float) -> bool:
         """The problem of a tick, in `strict`; False when it must not be solved."""
-        phase = self.phase
+        joint = self.phase.joint
+        self._fill_contacts(state)
+        self._fill_dynamics(state, tau_last, dt)
+        if self._joint is not None and joint is not None:
+            joint.fill(state.q, state.v, dt, self._joint)
         self._costs = self.costs(state)
-        self._hard = hard = self._held(state)
-        if self.pushing:
-            hard += self._cones(state)
-        hard += self._dynamics(state, tau_last, dt)
-        if self._joint is not None and phase.joint is not None:
-            phase.joint.fill(state.q, state.v, dt, self._joint)
-            hard.append(self._joint)
         self.last = self.strict
-        return _fill(self.strict, self._costs, hard)
+        return _fill(self.strict, self._costs)
 
     def _contact_rows(self, state: State) -> list[Rows]:
         """The constraints of the contacts, with the names of their rows."""
@@ -267,20 +271,24 @@ class Program:
         limit = self.phase.torque
         return [torque_map(state).rows(limit.low, limit.high, limit.labels)]
 
-    def _held(self, state: State) -> list[Rows]:
-        """The constraints of the contacts at a tick."""
-        hard = []
+    def _fill_contacts(self, state: State) -> None:
+        """The constraints of the contacts at a tick, and what they do not pull."""
         for name, contact in self.phase.contacts.items():
-            rows = self.strict.stored[name]
-            contact.fill(state.contacts[name], rows)
-            hard.append(rows)
-        return hard
+            contact.fill(state.contacts[name], self.strict.stored[name])
+        self._fill_cones(state)
 
-    def _dynamics(self, state: State, tau_last: Array, dt: float) -> list[Rows]:
+    def _fill_cones(self, state: State) -> None:
+        for name, pushes in self.pushing.items():
+            held = state.contacts[name]
+            cone, stands = held.cone, self._standing.get(name)
+            if cone is not None and (stands is None or stands[0] is not cone or stands[1] is not held.lifted):
+                pushes.fill(name, cone, self.strict.stored[f"{name}.push"], not held.lifted)
+                self._standing[name] = (cone, held.lifted)
+
+    def _fill_dynamics(self, state: State, tau_last: Array, dt: float) -> None:
         """Equations of motion at a tick, with the torque within its window."""
         self.window = self.phase.torque.window(tau_last, dt, state.bias, self._torque)
         fill(state, self._torque)
-        return [self._torque]
 
     def rest(self, state: State) -> Array:
         """(nu,) the torque that holds the robot's weight at a state [N m]."""
@@ -288,12 +296,8 @@ class Program:
 
     def _cones(self, state: State) -> list[Rows]:
         """Inequalities of the contacts that only push."""
-        held = ((name, pushes, state.contacts[name]) for name, pushes in self.pushing.items())
-        return [
-            pushes.idle(name, each.cone) if each.lifted else pushes.rows(name, each.cone)
-            for name, pushes, each in held
-            if each.cone is not None
-        ]
+        cones = ((name, pushes, state.contacts[name].cone) for name, pushes in self.pushing.items())
+        return [pushes.rows(name, cone) for name, pushes, cone in cones if cone is not None]
 
     def relax(self, state: State) -> bool:
         """The problem with joint viability yielding; dynamics, torque and rate never do. False without joint limits."""
@@ -331,6 +335,7 @@ class Program:
                 costs += self._stack(state, [rows for rows, _, _ in costs])
             for name, posture in self.posture.items():
                 costs.append((posture.rows(state), weights[name], levels[name]))
+        costs += [(task.rows(state), weights[name], levels[name]) for name, task in self.effort.items()]
         for contact, held in state.contacts.items():
             if contact in self.force:
                 name, force = self.force[contact]
@@ -351,11 +356,12 @@ class Program:
         K = mobility(state, G)
         W = inertia(K)
         state.primary = (G, W, K)
-        if above or not held:
+        if self.motion or self.phase.compliant or not held:
             return []
         # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
         rhs = np.concatenate([h.rhs for h in held])
-        return [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0, LAST)]
+        k = rhs.size
+        return [(Rows("", {"vdot": G[:k]}, rhs, rhs, inertia(K[:k, :k])), 1.0, LAST)]
 
     def names(self, z: Array, found: list[int], state: State, tau_last: Array, dt: float) -> tuple[str, ...]:
         """Names of active rows of the last problem, with which of two limits it is that binds."""
@@ -368,7 +374,9 @@ class Program:
             if kind == "torque":
                 label = self.phase.torque.name(joints.index(joint), bool(z[i] > 0.0), tau_last, dt)
             elif kind == "joint" and self.phase.joint is not None:
-                label = self.phase.joint.name(joints.index(joint), bool(z[i] > 0.0), state.q)
+                number, rows = joints.index(joint), self.strict.stored["joint"]
+                side = rows.hi if z[i] > 0.0 else rows.lo
+                label = self.phase.joint.name(number, bool(z[i] > 0.0), state.q, side[state.robot.base + number])
             names.append(label)
         return tuple(dict.fromkeys(names)) if self.pushing else tuple(names)
 
@@ -381,7 +389,8 @@ def _stacked(state: State, tasks: Sequence[Any]) -> tuple[Array, Array]:
     return G, np.concatenate([h.rhs for h in held] + [rhs for _, rhs in own])
 
 
-def _fill(workspace: Workspace, costs: Sequence[Cost], hard: Sequence[Rows]) -> bool:
+def _fill(workspace: Workspace, costs: Sequence[Cost], hard: Sequence[Rows] = ()) -> bool:
+    """Costs, and the hard rows that do not stand there yet. Whether all is finite."""
     workspace.clear()
     for rows, weight, _ in costs:
         workspace.minimise(rows, weight)

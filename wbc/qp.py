@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ProblemError
-from .kernels import active, add_square, residuals, total
+from .kernels import active, add_rows, add_square, residuals, total
 
 Array = NDArray[np.float64]
 
@@ -164,7 +164,7 @@ class Workspace:
             self.labels += rows.labels or [f"{rows.name}[{i}]" for i in range(stop - start)]
             start = stop
         self._buffer, self._cost = buffer, buffer[: n + n * n]
-        self._H = {(a, b): stack[variables[a], variables[b]] for a in variables.slices for b in variables.slices}
+        self._H = {name: stack[place, place] for name, place in variables.slices.items()}
         self._g = {name: g[place] for name, place in variables.slices.items()}
         self.problem = Problem(stack[:n], g, stack[n:], lo, hi, n_eq, stack)
 
@@ -186,47 +186,29 @@ class Workspace:
     def minimise(self, rows: Rows, weight: float) -> None:
         """Add `weight / 2 |A x - lo|^2` in the metric of the rows."""
         _, coefficients, target, _, metric, _ = rows
-        if metric is not None and len(coefficients) == 1:
+        if metric is None:
+            metric = np.eye(target.size)
+        if len(coefficients) == 1:
             ((name, A),) = coefficients.items()
-            if A is None:
-                add_square(metric, target, weight, self._H[name, name], self._g[name])
-                return
-        if len(coefficients) > 2:
-            self._minimise_jointly(coefficients, target, metric, weight)
-            return
-        weighted = {}
-        for name, A in coefficients.items():
-            if A is None:
-                WA = metric if metric is not None else np.eye(target.size)
-            else:
-                WA = A if metric is None else metric.dot(A)
-            weighted[name] = WA if weight == 1.0 else WA * weight
-        for name, WA in weighted.items():
-            g = self._g[name]
-            g -= target.dot(WA)
-            for other, A in coefficients.items():
-                H = self._H[other, name]
-                H += WA if A is None else A.T.dot(WA)
+            H, g = self._H[name], self._g[name]
+        else:
+            A, H, g = self._joint(coefficients, target.size), self.problem.H, self.problem.g
+        if A is None:
+            add_square(metric, target, weight, H, g)
+        else:
+            add_rows(A, metric, target, weight, H, g)
 
-    def _minimise_jointly(
-        self, coefficients: Mapping[str, Array | None], target: Array, metric: Array | None, weight: float
-    ) -> None:
-        """The same over many variables: one product for all of them."""
-        n, m = self.variables.size, target.size
-        A = np.zeros((m, n))
+    def _joint(self, coefficients: Mapping[str, Array | None], m: int) -> Array:
+        """(m, n) over all variables."""
+        A = np.zeros((m, self.variables.size))
         for name, block in coefficients.items():
-            A[:, self.variables[name]] = np.eye(m) if block is None else block
-        WA = (A if metric is None else metric.dot(A)) * weight
-        g, H = self.problem.g, self.problem.H
-        g -= target.dot(WA)
-        H += A.T.dot(WA)
+            A[:, self.variables.slices[name]] = np.eye(m) if block is None else block
+        return A
 
     def constrain(self, rows: Rows) -> None:
         """Put a hard block in its place."""
         name, A, lo, hi, _, _ = rows
         _, columns, low, high, _, _ = self.stored[name]
-        if lo is low:
-            return  # they were filled where they stand
         low[:] = lo
         high[:] = hi
         for variable, place in columns.items():

@@ -3,7 +3,7 @@
 CONTACT.AXIS       wrench of the robot on the environment, at the contact's frame, also of one that is not active
 CONTACT.distance   of its frame from where the contact holds it, against its push or along the one axis held [m]
 CONTACT.slip       speed of its frame across its push along what friction is to hold there, while it is active [m/s]
-TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s]
+TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s] (as the task sees it)
 TASK.done          1 when the reference, and what led into it, have come to rest for good
 
 All of them are true of the robot's model and of the sensor, as the controller knows them: a slip is that of the joints'
@@ -62,7 +62,7 @@ def error(task: MotionTask) -> Reading:
 
 def speed(task: MotionTask) -> Reading:
     """[m/s]"""
-    return lambda state: float(np.linalg.norm(state.frame(task.frame).V[3:]))
+    return lambda state: float(np.linalg.norm(task.seen(state).V[3:]))
 
 
 def done(task: MotionTask) -> Reading:

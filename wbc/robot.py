@@ -59,6 +59,17 @@ class Terms:
         self.frames: dict[str, Frame] = {}
         self.held: dict[Any, Any] = {}
 
+    @cached_property
+    def mass(self) -> float:
+        """Of the whole robot [kg]."""
+        return float(self.data.mass[0])
+
+    @cached_property
+    def com(self) -> tuple[Array, Array, Array, Array]:
+        """The centre of mass (3,), its Jacobian (3, nv), the first joint's axes (3, 3), and gravity (3,)."""
+        model, data = self.robot.model, self.data
+        return data.com[0], data.Jcom.reshape(3, model.nv), data.oMi[1].rotation, model.gravity.linear
+
     def add(self, name: str) -> Frame:
         """Storage of a frame. Raises NameNotFound."""
         model, data = self.robot.model, self.data

@@ -15,6 +15,7 @@ import numpy as np
 
 from . import analytic, material, stance
 from .build import Built
+from .centroidal import MomentumTask
 from .contact import Contact
 from .controller import Controller, Output, Status
 from .dynamics import mobility, unheld
@@ -25,6 +26,7 @@ from .log import Log
 from .metrics import metrics
 from .model import quietly
 from .phase import Phase
+from .relative import GazeTask
 from .response import Bode, described, responses
 from .robot import State
 from .sim import Observation, Simulator, Touch
@@ -177,7 +179,7 @@ def _record_pushes(log: Log, controller: Controller, simulator: Simulator) -> No
     for name, task in controller.phase.compliant.items():
         (T, V), desired, S = simulator.true_motion(task.frame), task.desired(state), task.selection(state)
         X_e, V_e, ahead = task.errors(T, V, desired)
-        lift = np.linalg.pinv(S)
+        lift = task.lift(state)
         row |= {f"{name}.displacement": -S @ X_e, f"{name}.rate": -S @ V_e, f"{name}.mobility": task.mobility(state)}
         row |= {f"{name}.twist": S @ V, f"{name}.ahead": S @ ahead}
         row |= {f"{name}.external": -lift.T @ simulator.true_external(task.frame), f"{name}.felt": task.push(state)}
@@ -204,11 +206,15 @@ def _row(controller: Controller, seen: Observation, out: Output, took: float) ->
             row[f"{task.contact}.target"] = task.desired(state)
             row[f"{task.contact}.wanted"] = state.contacts[task.contact].A.T @ row[f"{task.contact}.target"]
         elif isinstance(task, MotionTask):
-            frame, desired = state.frame(task.frame), task.desired(state)
+            frame, desired = task.seen(state), task.desired(state)
             row |= {f"{name}.error": task.error(state), f"{name}.along": task.along(state)}
             row |= {f"{name}.position": frame.T.translation, f"{name}.desired": desired.T.translation}
             row[f"{name}.speed"] = np.linalg.norm(frame.V[3:])
             row[f"{name}.desired_speed"] = np.linalg.norm(desired.V[3:])
+        elif isinstance(task, GazeTask):
+            row[f"{name}.angle"] = task.angle(state)
+        elif isinstance(task, MomentumTask):
+            row[f"{name}.lacking"] = task.error(state)
     return row
 
 

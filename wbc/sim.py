@@ -157,7 +157,7 @@ class Simulator:
             body, R_push, p_push = carried(self.model, self.data, push.frame)
             if body == own:
                 m, f = (R_push @ part for part in self.true_push(name).reshape(2, 3))
-                F += np.concatenate((R.T @ (m + np.cross(p_push - p, f)), R.T @ f))
+                F += np.concatenate((R.T @ (m + pin.skew(p_push - p) @ f), R.T @ f))
         return F
 
     def true_motion(self, frame: str) -> tuple[pin.SE3, Array]:
@@ -213,7 +213,7 @@ class Simulator:
             inside = [rigid[b] == rigid[body] for b in bodies]
             if inside[0] != inside[1]:
                 sign = 1.0 if inside[1] else -1.0
-                F[:3] += sign * (R.T @ (m + np.cross(at - p, f)))
+                F[:3] += sign * (R.T @ (m + pin.skew(at - p) @ f))
                 F[3:] += sign * (R.T @ f)
         return Touch(F, points, mu)
 

@@ -67,9 +67,12 @@ class Sole(Unilateral):
     ) -> tuple[Array, Array, Cone | None]:
         if self._lifted:
             return A, G, None
-        k = len(A)
-        nothing = (np.zeros((0, k)), np.zeros((k, 0)))
-        return A, G, SoleCone(self._wrenches.dot(A.T), self._least, *nothing, inverse[:, 3:].dot(self.d))
+        cone = self._kept
+        if cone is None or not contact.steady:
+            k = len(A)
+            nothing = (np.zeros((0, k)), np.zeros((k, 0)))
+            cone = self._kept = SoleCone(self._wrenches.dot(A.T), self._least, *nothing, inverse[:, 3:].dot(self.d))
+        return A, G, cone
 
     def rows(self, name: str, cone: Cone) -> Rows:
         labels = tuple(f"{name}.{part}" for part in self._labels)

@@ -25,7 +25,6 @@ from .reference import Reference, Sample
 from .robot import Frame, State
 from .wrench import VELOCITY_AXES
 
-_ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))
 _ORDER = np.array([3, 4, 5, 0, 1, 2])
 _NOTHING: Array = np.zeros(0)
 
@@ -52,20 +51,9 @@ def pose_errors(T: pin.SE3, V: Array, desired: Sample, split: bool = False) -> t
     X_e = log(T^-1 T_d) and Ad = Ad_{T^-1 T_d} (book 11.37) turn and move along one screw. `split` has the rotation's
     logarithm beside the straight way between the origins, R'(p_d - p), and with it Ad = blkdiag(R'R_d, R'R_d).
     """
-    X, (w, v) = T.actInv(desired.T), (V[:3], V[3:])
-    if split:
-        R, (w_d, v_d), (wdot, vdot) = X.rotation, desired.V.reshape(2, 3), desired.Vdot.reshape(2, 3)
-        X_e = np.concatenate((pin.log3(R), X.translation))
-        V_e = np.concatenate((R @ w_d - w, R @ v_d - v))
-        turn = pin.skew(w)  # numpy's cross takes ten times as long
-        ahead = np.concatenate((R @ wdot - turn @ (R @ w_d), R @ (vdot + pin.skew(w_d) @ v_d) - turn @ v))
-        return X_e, V_e, ahead
-    Ad = X.toActionMatrix()[_ANGULAR_FIRST]
-    V_d, ahead = Ad @ desired.V, Ad @ desired.Vdot
-    turn = pin.skew(w)
-    ahead[:3] -= turn @ V_d[:3]
-    ahead[3:] -= pin.skew(v) @ V_d[:3] + turn @ V_d[3:]
-    return pin.log6(X).vector[_ORDER], V_d - V, ahead
+    X_e, V_e, ahead = np.empty(6), np.empty(6), np.empty(6)
+    kernels.pose_errors(T.rotation, T.translation, V, desired.R, desired.p, desired.motion, split, X_e, V_e, ahead)
+    return X_e, V_e, ahead
 
 
 class MotionTask:
@@ -114,6 +102,10 @@ class MotionTask:
         S = np.eye(6)[[VELOCITY_AXES.index(a) for a in self.axes]]
         return S.T @ small @ S
 
+    def seen(self, state: State) -> Frame:
+        """The frame as its reference is told: in the world."""
+        return state.frame(self.frame)
+
     def desired(self, state: State) -> Sample:
         """The reference as it is followed at this tick: since the task began, led in from where the frame was then."""
         start = state.starts.get(self)
@@ -121,12 +113,13 @@ class MotionTask:
 
     def along(self, state: State) -> Array:
         """(s,) X_e, with [X_e] = log(T^-1 T_d), along the rows that pick the task's axes [rad, m]."""
-        X_e = pin.log6(state.frame(self.frame).T.actInv(self.desired(state).T)).vector[_ORDER]
+        X_e = pin.log6(self.seen(state).T.actInv(self.desired(state).T)).vector[_ORDER]
         return np.asarray(self._select(state) @ X_e, float)
 
     def error(self, state: State) -> Array:
         """(6,) X_e on the task's axes alone [rad, m]."""
-        return np.asarray(np.linalg.pinv(self._select(state)) @ self.along(state), float)
+        lift = self.selection.T if self.contact is None else state.contacts[self.contact].lift
+        return np.asarray(lift @ self.along(state), float)
 
     def _select(self, state: State) -> Array:
         rows: Array = self.selection if self.contact is None else state.contacts[self.contact].free
@@ -134,7 +127,7 @@ class MotionTask:
 
     def acceleration(self, state: State) -> Array:
         """(6,) y in the axes of the frame [rad/s^2, m/s^2]."""
-        frame, desired = state.frame(self.frame), self.desired(state)
+        frame, desired = self.seen(state), self.desired(state)
         if not self.split:
             return computed_torque(frame, desired, self._K)
         X_e, V_e, ahead = pose_errors(frame.T, frame.V, desired, split=True)
@@ -142,7 +135,7 @@ class MotionTask:
 
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (s, nv) and (s,)."""
-        frame = state.frame(self.frame)
+        frame = self.seen(state)
         y = self.acceleration(state)
         y -= frame.drift
         if self.raw:

@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 
 from . import spec as specs
-from .centroidal import ComTask, DistributionTask, WholeBodyPosture
+from .axes import MOMENTUM_AXES
+from .centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
 from .contact import AxesContact, Contact, SphereContact
+from .effort import TorqueTask
 from .geometry import Geometry
 from .impedance import AdmittanceTask, Compliance, ImpedanceTask
 from .observer import MomentumObserver
 from .qp import Array
 from .reference import Reference, Scalar, constant
+from .relative import GazeTask, RelativeTask, relative_axes
 from .robot import Robot
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .wrench import VELOCITY_AXES, WRENCH_AXES
@@ -50,6 +53,14 @@ class Tracking:
                     tasks[name] = ComTask(
                         self.geometry.com_path(name, entry, self.contacts, q), kp, kd, self.geometry.over(entry)
                     )
+                elif isinstance(entry, specs.RelativeTask):
+                    tasks[name] = self._relative(name, entry)
+                elif isinstance(entry, specs.GazeTask):
+                    tasks[name] = GazeTask(entry.frame, entry.direction, entry.at, entry.kp, entry.kd)
+                elif isinstance(entry, specs.MomentumTask):
+                    tasks[name] = self._momentum(name, entry)
+                elif isinstance(entry, specs.TorqueTask):
+                    tasks[name] = TorqueTask()
                 elif isinstance(entry, specs.DistributionTask):
                     tasks[name] = self._distribution(name, entry)
                 else:
@@ -75,6 +86,16 @@ class Tracking:
             message = "the contacts of a robot that stands on its base share nothing; expected a floating base"
             self.geometry.faults.add(("tasks", name, "type"), message)
         return DistributionTask(entry.shares)
+
+    def _relative(self, name: str, entry: specs.RelativeTask) -> RelativeTask:
+        able = relative_axes(self.geometry.robot, entry.frame, entry.to)
+        axes = able if entry.axes == "all" else entry.axes
+        kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
+        return RelativeTask(entry.frame, entry.to, self.references[name], kp, kd, axes, entry.error)
+
+    def _momentum(self, name: str, entry: specs.MomentumTask) -> MomentumTask:
+        axes = MOMENTUM_AXES if entry.axes == "all" else entry.axes
+        return MomentumTask(self._gain(entry, name, "kp", axes), axes, self.geometry.momentum(name, entry))
 
     def _motion(self, name: str, entry: specs.MotionTask) -> MotionTask:
         frame, axes = self._place(entry)

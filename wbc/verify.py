@@ -27,15 +27,17 @@ from .observer import Observed
 from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
 from .phase import hold
 from .qp import Array
+from .relative import RelativeTask
 from .robot import State
 from .run import run
 from .sim import carrier, to_mujoco
 from .solver import Solver
 from .spec import Spec
-from .task import ForceLoop, MotionTask
+from .task import ForceLoop, ForceTask, MotionTask, PostureTask
 from .wrench import Wrench
 
 LAWS: tuple[Law, ...] = ("compensated", "book")
+_OF_THE_CHAPTER = (MotionTask, ForceTask, PostureTask, Compliance)
 STATES, KEPT = 1000, 700
 MAX_COND, MAX_COND_AJ = 1e5, 30.0
 
@@ -124,6 +126,13 @@ def _require_closed_form(built: Built) -> None:
     if built.robot.base:
         message = f"{built.spec.robot} has a floating base, of which the chapter has no closed form"
         faults.add(("robot",), f"{message}; expected a robot with a fixed base")
+    faults.check()
+    for phase in built.phases:
+        for name, task in phase.tasks.items():
+            if isinstance(task, RelativeTask) or not isinstance(task, _OF_THE_CHAPTER):
+                kind = built.spec.tasks[name].type
+                message = f"the chapter has no closed form with a task of type {kind}"
+                faults.add(("tasks", name, "type"), f"{message}; expected it left out")
     faults.check()
     for phase in built.phases:
         above = np.zeros((0, built.robot.nv))

@@ -17,8 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from . import kernels
 from .centroidal import DistributionTask, WholeBodyPosture, mass
 from .dynamics import inertia, mobility, torque_map
+from .effort import TorqueTask
 from .errors import LawError
 from .handover import SHARING
 from .phase import LAST, Cost, Phase, Program, hold
@@ -45,16 +47,18 @@ class WholeBodyProgram(Program):
             self.rank = int((values > RANK_TOLERANCE * values[-1]).sum())
         if self.redundant:
             self.notes = (f"contacts hold {self.rows} axes, of which {self.rank} are independent",)
-        own = (ForceTask, PostureTask, DistributionTask)
+        own = (ForceTask, PostureTask, DistributionTask, TorqueTask)
         self._tasks: dict[str, Task] = {n: t for n, t in phase.tasks.items() if not isinstance(t, own)}
         given = [(n, t) for n, t in phase.tasks.items() if isinstance(t, DistributionTask)]
         levels = phase.levels or {}
         self._sharing = [(t, phase.weights[n], levels.get(n, 1)) for n, t in given] or [(DistributionTask(), 1.0, LAST)]
         forced = {task.contact for task in phase.tasks.values() if isinstance(task, ForceTask)}
         self._sharers = [name for name, contact in phase.contacts.items() if contact.k and name not in forced]
-        self._together: tuple[Array, Array] | None = None
         super().__init__(phase, start)
-        self._together = None
+        # their rows stand first in the problem, and are read where they stand
+        problem, n = self.strict.problem, self.strict.problem.g.size
+        self._G, self._rhs = problem.C[: self.rank, : start.robot.nv], problem.lo[n : n + self.rank]
+        self._joints, self._base = (self.strict.coefficients(name) for name in ("torque", "base"))
 
     def named(self, starts: Mapping[str, Any]) -> Mapping[Any, Any]:
         if starts is not self._starts[0]:
@@ -68,10 +72,6 @@ class WholeBodyProgram(Program):
     def redundant(self) -> bool:
         """Whether the contacts hold the robot by more rows than it takes."""
         return self.rank < self.rows
-
-    def assemble(self, state: State, tau_last: Array, dt: float) -> bool:
-        self._together = self._independent(state)
-        return super().assemble(state, tau_last, dt)
 
     def _independent(self, state: State) -> tuple[Array, Array]:
         """Independent rows G vdot = rhs of all contacts."""
@@ -88,12 +88,17 @@ class WholeBodyProgram(Program):
     def _contact_rows(self, state: State) -> list[Rows]:
         return self._merged(state) if self.redundant else super()._contact_rows(state)
 
-    def _held(self, state: State) -> list[Rows]:
-        return self._merged(state) if self.redundant else super()._held(state)
-
     def _merged(self, state: State) -> list[Rows]:
-        G, rhs = self._together or self._independent(state)
+        G, rhs = self._independent(state)
         return [Rows("contacts", {"vdot": G}, rhs, rhs)]
+
+    def _fill_contacts(self, state: State) -> None:
+        if not self.redundant:
+            super()._fill_contacts(state)
+            return
+        self._G[:], self._rhs[:] = self._independent(state)
+        self.strict.stored["contacts"].hi[:] = self._rhs
+        self._fill_cones(state)
 
     def _dynamic_rows(self, state: State) -> list[Rows]:
         limit = self.phase.torque
@@ -101,39 +106,40 @@ class WholeBodyProgram(Program):
         nothing = -base.b
         return [Rows("base", base.A, nothing, nothing), joints.rows(limit.low, limit.high, limit.labels)]
 
-    def _dynamics(self, state: State, tau_last: Array, dt: float) -> list[Rows]:
-        n, own, base = state.robot.base, self._torque, self.strict.stored["base"]
-        self.window = self.phase.torque.window(tau_last, dt, state.bias[n:], own)
-        _split(state.M, n, base.A["vdot"], own.A["vdot"])
-        for name, held in state.contacts.items():
-            _split(held.push.T, n, base.A[name], own.A[name])
-        base.lo[:] = base.hi[:] = -state.bias[:n]
-        return [base, own]
+    def _fill_dynamics(self, state: State, tau_last: Array, dt: float) -> None:
+        base, held = self.strict.stored["base"], state.contacts.values()
+        self.window = self.phase.torque.window(tau_last, dt, state.bias[state.robot.base :], self._torque)
+        push = self._G
+        if self.redundant or any(each.push is not each.G for each in held):
+            push = np.concatenate([each.push for each in held])
+        kernels.equations(state.M, push, state.bias, self._base, self._joints, base.lo)
+        base.hi[:] = base.lo
 
     def costs(self, state: State) -> list[Cost]:
         weights, levels = self.phase.weights, self.levels
-        G, rhs = self._together or self._independent(state)
+        G, rhs = self._G, self._rhs
         wanted = [(name, self._wanted(task, state)) for name, task in self._tasks.items()]
         stack = np.concatenate([G, *(A for _, rows in wanted if (A := rows.A.get("vdot")) is not None)])
-        lifted = state.solve_M(stack.T)
-        K = stack.dot(lifted)
+        lifted, K = np.empty((stack.shape[1], len(stack) if self.posture else 0)), np.empty(2 * stack.shape[:1])
+        kernels.mobility(state.M, stack, lifted, K)
         k = start = len(G)
         W = inertia(K[:k, :k])
         # no task weighs the held directions: the constraint decides them, the cost is zero where it holds
         costs: list[Cost] = [(Rows("", {"vdot": G}, rhs, rhs, W), 1.0, LAST)] if self.rows else []
-        held = W.dot(K[:k, k:])  # M_C of the contacts times what the tasks' forces do to them
         for name, rows in wanted:
             if rows.A.get("vdot") is not None:
-                own = slice(start, start + rows.lo.size)
-                start = own.stop
-                if isinstance(self._tasks[name], MotionTask):
-                    free = K[own, own] - K[:k, own].T.dot(held[:, own.start - k : own.stop - k])
-                    rows = rows._replace(metric=inertia(free))
+                m = rows.lo.size
+                if isinstance(self._tasks[name], MotionTask):  # what it moves while the contacts hold
+                    free = np.empty((m, m))
+                    kernels.within(K, W, start, free)
+                    rows = Rows("", rows.A, rows.lo, rows.lo, inertia(free))
+                start += m
             costs.append((rows, weights[name], levels[name]))
         state.primary = (stack, inertia(K) if self.posture else _NO_METRIC, K)
         for name, posture in self.posture.items():
             known = (lifted,) if isinstance(posture, WholeBodyPosture) else ()
             costs.append((posture.rows(state, *known), weights[name], levels[name]))
+        costs += [(task.rows(state), weights[name], levels[name]) for name, task in self.effort.items()]
         costs += [(force.rows(state), weights[name], levels[name]) for name, force in self.force.values()]
         if self._sharers:
             standing = [name for name in self._sharers if not state.contacts[name].lifted]
@@ -170,9 +176,3 @@ def _nothing(state: State, name: str) -> Rows:
     """The cost of the multipliers of a contact in the air, which its cone makes zero."""
     zero = np.zeros(state.contacts[name].A.shape[0])
     return Rows("", {name: None}, zero, zero, np.eye(zero.size) / mass(state))
-
-
-def _split(rows: Array, n: int, base: Any, joints: Any) -> None:
-    """The first n rows and the others, where they stand."""
-    base[:] = rows[:n]
-    joints[:] = rows[n:]

@@ -22,11 +22,15 @@ from .task import (
     ComTask,
     DistributionTask,
     ForceTask,
+    GazeTask,
     ImpedanceTask,
+    MomentumTask,
     MotionTask,
     Over,
     PostureTask,
+    RelativeTask,
     Task,
+    TorqueTask,
 )
 
 __all__ = [
@@ -52,6 +56,6 @@ __all__ += [
     "Task",
     "Unilateral",
 ]
-__all__ += ["ComTask", "DistributionTask", "Over"]
+__all__ += ["ComTask", "DistributionTask", "GazeTask", "MomentumTask", "Over", "RelativeTask", "TorqueTask"]
 __all__ += ["AdmittanceTask", "Bias", "ImpedanceTask", "Move", "Push", "Sine", "Wave"]
 __all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until", "Within"]

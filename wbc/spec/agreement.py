@@ -10,12 +10,25 @@ from collections.abc import Set as AbstractSet
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
-from ..axes import WRENCH_AXES
+from ..axes import MOMENTUM_AXES, WRENCH_AXES
 from ..errors import did_you_mean
 from .fields import shown
 from .phase import STOP
 from .source import MAX_FAULTS, KeyPath, Message, NoSuchKey, dotted, put
-from .task import AdmittanceTask, ComTask, DistributionTask, ForceTask, ImpedanceTask, MotionTask, Over, PostureTask
+from .task import (
+    AdmittanceTask,
+    ComTask,
+    DistributionTask,
+    ForceTask,
+    GazeTask,
+    ImpedanceTask,
+    MomentumTask,
+    MotionTask,
+    Over,
+    PostureTask,
+    RelativeTask,
+    TorqueTask,
+)
 
 if TYPE_CHECKING:
     from .document import Spec
@@ -65,7 +78,10 @@ def _of_contacts(spec: Spec, left_out: LeftOut) -> Iterator[Message]:
 def _of_tasks(spec: Spec, left_out: LeftOut) -> Iterator[Message]:
     forced: dict[str, str] = {}  # contact -> its force task
     for name, task in spec.tasks.items():
-        if isinstance(task, PostureTask):
+        if isinstance(task, PostureTask | GazeTask | TorqueTask):
+            continue
+        if isinstance(task, RelativeTask | MomentumTask):
+            yield from ((("tasks", name, *key), message) for key, message in _of_body_motion(task, spec, left_out))
             continue
         if isinstance(task, ComTask | DistributionTask):
             yield from ((("tasks", name, *key), message) for key, message in _of_body(task, spec, left_out))
@@ -90,6 +106,26 @@ def _of_body(task: ComTask | DistributionTask, spec: Spec, left_out: LeftOut) ->
     for i, name in enumerate(shares):
         if message := _unknown(name, spec, "contacts", left_out):
             yield (*key, name if isinstance(shares, dict) else i), message
+
+
+def _of_body_motion(task: RelativeTask | MomentumTask, spec: Spec, left_out: LeftOut) -> Iterator[tuple[KeyPath, str]]:
+    """The references of a relative pose and of a momentum, and gains along their axes."""
+    targets: dict[KeyPath, Any] = (
+        {("target",): task.target}
+        if isinstance(task, RelativeTask)
+        else {("target", axis): target for axis, target in task.target.items()}
+    )
+    for path, target in targets.items():
+        if isinstance(target, str) and (message := _unknown(target, spec, "references", left_out)):
+            yield path, message
+    axes: Collection[str] = () if task.axes == "all" else task.axes
+    if isinstance(task, MomentumTask) and task.axes == "all":
+        axes = MOMENTUM_AXES
+    for key in ("kp", "kd"):
+        gain = getattr(task, key, 0.0)
+        if axes and isinstance(gain, tuple) and len(gain) != len(axes):
+            expected = "numbers" if isinstance(gain[0], float) else "rows"
+            yield (key,), f"expected {len(axes)} {expected} ({', '.join(axes)}), got {len(gain)}"
 
 
 def _of_plant(spec: Spec) -> Iterator[Message]:
@@ -199,7 +235,7 @@ def _unmeasured(
 ) -> str | None:
     """What is wrong with the name of a measured quantity, of any contact, or of what is active in the phase."""
     subject, _, what = quantity.rpartition(".")
-    motions = [name for name, task in spec.tasks.items() if isinstance(task, MotionTask)]
+    motions = [name for name, task in spec.tasks.items() if isinstance(task, MotionTask | RelativeTask)]
     known = [f"{name}.{each}" for name in spec.contacts for each in (*WRENCH_AXES, "distance")]
     known += [f"{name}.slip" for name in contacts]
     known += [f"{name}.{each}" for name in motions if name in tasks for each in ("done", "error", "speed")]

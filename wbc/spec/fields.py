@@ -48,9 +48,11 @@ _EXPECTED = {
 }
 # Parts of pydantic's paths that are no keys of the file
 _TAGS = {"<number>", "<name>", "<list>", "<matrix>", "<map>", "<scale>", "<true>", "[key]"}
-_TAGS |= {"<force>", "<motion>", "<posture>", "<impedance>", "<admittance>", "<com>", "<distribution>"}
-
-_TYPES = ("force", "motion", "impedance", "admittance", "com", "distribution", "posture")
+_TYPES = (
+    "force", "motion", "relative", "gaze", "impedance", "admittance", "com", "momentum", "distribution", "torque",
+    "posture",
+)  # fmt: skip
+_TAGS |= {f"<{each}>" for each in _TYPES}
 
 
 def shown(value: Any) -> str:
@@ -217,6 +219,9 @@ WrenchAxis = Literal["mx", "my", "mz", "fx", "fy", "fz"]
 Axis = Literal[VelocityAxis, WrenchAxis]
 AxisList = Annotated[tuple[VelocityAxis, ...], Field(min_length=1), AfterValidator(_distinct), Tag("<list>")]
 Axes = Annotated[All | AxisList, either("all or a list of velocity axes")]
+MomentumAxis = Literal["kx", "ky", "kz", "lx", "ly", "lz"]
+MomentumList = Annotated[tuple[MomentumAxis, ...], Field(min_length=1), AfterValidator(_distinct), Tag("<list>")]
+MomentumAxes = Annotated[All | MomentumList, either("all or a list of kx, ky, kz, lx, ly, lz")]
 Gain = Annotated[
     Annotated[NonNegative, Tag("<number>")]
     | Annotated[tuple[NonNegative, ...], Field(min_length=1), Tag("<list>")]

@@ -47,6 +47,7 @@ class Limits(Model):
     torque_rate: RateLimit | None = Field(default=None, description="change of the joint torque [N m/s]")
     position: PositionLimit | None = Field(default=None, description="joint position [rad]")
     velocity: Limit | None = Field(default=None, description="joint velocity [rad/s]")
+    acceleration: RateLimit | None = Field(default=None, description="joint acceleration [rad/s^2]")
 
 
 class Noise(Model):
