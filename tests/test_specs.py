@@ -49,7 +49,8 @@ def test_expectations_are_never_looser_than_the_bars(name):
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_spec_meets_its_bars(name):
-    hold(name, result(name))
+    still = not LARGE and name in ("go2_stand", "g1_stand")  # for the rest of its 10 s it only stands
+    hold(name, result(name, "duration=4") if still else result(name))
 
 
 # with daqp above; the other solver runs as long only in a large campaign

@@ -18,7 +18,7 @@ from .axes import MOMENTUM_AXES
 from .dynamics import inertia
 from .errors import GainError
 from .qp import Array, Rows
-from .reference import Reference
+from .reference import Reference, Sample
 from .robot import State
 from .task import PostureTask
 
@@ -69,14 +69,17 @@ class ComTask:
 
     def desired(self, state: State) -> tuple[Array, Array, Array]:
         """(3,) c_d, its velocity and its acceleration in the world."""
-        start = state.starts.get(self)
-        sample = self.path(state.t) if start is None else start.sample(self.path, state.t)
+        sample = self._sample(state)
         R, (w, v), (_, vdot) = sample.T.rotation, sample.V.reshape(2, 3), sample.Vdot.reshape(2, 3)
         return sample.T.translation, R.dot(v), R.dot(vdot + pin.skew(w).dot(v))
 
+    def _sample(self, state: State) -> Sample:
+        start = state.starts.get(self)
+        return self.path(state.t) if start is None else start.sample(self.path, state.t)
+
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (3, nv) and (3,)."""
-        (c, J, drift), sample, b = com(state), self.path(state.since(self)), np.empty(3)
+        (c, J, drift), sample, b = com(state), self._sample(state), np.empty(3)
         kernels.point_target(sample.R, sample.p, sample.motion, c, J, state.v, drift, self._K, b)
         return J, b
 
