@@ -135,7 +135,11 @@ class Geometry:
         state = self.robot.state(q, np.zeros(self.robot.nv))
         here = pin.SE3(np.eye(3), com(state)[0].copy())
         if isinstance(entry.target, specs.Over):
-            here.translation = np.array([*middle(state, self.over(entry))[:2], here.translation[2]])
+            for absent in [each for each, share in entry.target.shares.items() if share and each not in contacts]:
+                path = ("tasks", name, "target", "over", *((absent,) if isinstance(entry.target.over, dict) else ()))
+                self.faults.add(path, f"{absent!r} is no contact of this phase; expected a share of 0, or its contact")
+            if over := self.over(entry):
+                here.translation = np.array([*middle(state, over)[:2], here.translation[2]])
         if entry.reference is None:
             return Hold(here)
         along = components(self.spec.references[entry.reference])
@@ -149,7 +153,9 @@ class Geometry:
         if not isinstance(entry.target, specs.Over):
             return {}
         contacts = self.spec.contacts
-        return {contacts[name].frame: share for name, share in entry.target.shares.items() if share}
+        return {
+            contacts[name].frame: share for name, share in entry.target.shares.items() if share and name in contacts
+        }
 
     def momentum(self, name: str, entry: specs.MomentumTask) -> Callable[[float], tuple[Array, Array]] | None:
         """h_d and its derivative along all axes, by time; None where all of it is zero."""

@@ -121,7 +121,16 @@ class Source:
         if len(error.faults) <= MAX_FAULTS:
             return error
         shown = error.faults[:MAX_FAULTS]
-        return SpecError([*shown, replace(shown[-1], key="", message="there are more faults, which are not shown")])
+        return SpecError(
+            [
+                *shown,
+                replace(
+                    shown[-1],
+                    key="",
+                    message="there are more faults, which are not shown; expected these to be mended first",
+                ),
+            ]
+        )
 
     def whole(self) -> Source:
         """The source, if nothing was wrong while reading it."""
