@@ -17,8 +17,9 @@ from wbc.contact import AxesContact
 from wbc.controller import Controller, Status
 from wbc.effort import TorqueTask
 from wbc.errors import GainError, NameNotFound
+from wbc.pair import RelativeFrame, relative_axes
 from wbc.reference import Hold, Path, sine
-from wbc.relative import BEHIND, GazeTask, RelativeFrame, RelativeTask, _stretch, relative_axes
+from wbc.relative import BEHIND, GazeTask, RelativeTask, _stretch
 from wbc.task import MotionTask, PostureTask
 from wbc.testing import check_task
 from wbc.wrench import VELOCITY_AXES

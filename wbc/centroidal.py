@@ -6,6 +6,7 @@ it is free where they have more than six components.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -19,7 +20,7 @@ from .dynamics import inertia
 from .errors import GainError
 from .qp import Array, Rows
 from .reference import Reference, Sample
-from .robot import State
+from .robot import Frame, State
 from .task import PostureTask
 
 _ALONG = np.eye(3)
@@ -34,11 +35,24 @@ def mass(state: State) -> float:
     return state.terms.mass
 
 
+def load(state: State) -> float:
+    """Of all that moves with the base, which the contacts carry [kg]."""
+    return state.terms.load
+
+
+def on_base(state: State, seen: Frame, F: Array) -> Array:
+    """(3,) force that a wrench F (6,) of `seen` on its environment takes from the base, in the world [N].
+
+    A foot presses what it takes; a palm that holds the base from outside gives to it.
+    """
+    return np.asarray(state.terms.com[2].dot(seen.J[:, :3].T.dot(F)))
+
+
 def com(state: State) -> tuple[Array, Array, Array]:
     """(3,) the centre of mass in the world [m], (3, nv) its Jacobian, (3,) Jdot v [m/s^2]."""
     robot, terms = state.robot, state.terms
     c, J, R, g = terms.com
-    if robot.base:  # its acceleration is what the base's equations of force say, over the mass
+    if robot.floats:  # its acceleration is what the base's equations of force say, over the mass
         drift = R.dot(terms.h[:3]) / terms.mass + g
     else:
         pin.centerOfMass(robot.model, terms.data, state.q, state.v, np.zeros(state.v.size))
@@ -92,7 +106,7 @@ def momentum(state: State) -> tuple[Array, Array, Array]:
     """(6,) h = (k, l) about the centre of mass in the axes of the world [N m s, N s], (6, nv) its map, (6,) what of
     hdot is not vdot's [N m, N]."""
     robot, data = state.robot, state.terms.data
-    if robot.base:  # as of `com`: the base's six equations say what moves all of the robot
+    if robot.floats:  # as of `com`: the base's six equations say what moves all of the robot
         R, f = data.oMi[1].rotation, data.nle[:6]
         l_dot = R.dot(f[:3])
         k_dot = R.dot(f[3:]) + pin.skew(data.oMi[1].translation - data.com[0]).dot(l_dot)
@@ -159,12 +173,15 @@ class DistributionTask:
     Where the task begins while the robot stands, lambda_0 leads from what the contacts carried then to what is asked
     for, within `FADE`: the contacts take up and lay down their loads without a step.
     `shares`: contact -> share of the weight [1] that lambda_0 presses with; where nothing is given lambda_0 is zero.
+    `press`: contact that pushes -> force [N] that is added to lambda_0 along its push. Of two palms on a box these are
+    the internal force: P lambda_0 = 0, so that it stays as it is whatever w they share.
     """
 
-    def __init__(self, shares: Mapping[str, float] | None = None) -> None:
-        self.shares = dict(shares or {})
-        if any(not share >= 0.0 for share in self.shares.values()):
-            raise GainError(f"shares: expected 0 or more of each, got {self.shares}")
+    def __init__(self, shares: Mapping[str, float] | None = None, press: Mapping[str, float] | None = None) -> None:
+        self.shares, self.press = dict(shares or {}), dict(press or {})
+        for key, given in (("shares", self.shares), ("press", self.press)):
+            if any(not value >= 0.0 for value in given.values()):
+                raise GainError(f"{key}: expected 0 or more of each, got {given}")
 
     def rows(self, state: State, among: Sequence[str] | None = None) -> Rows:
         """Rows over `vdot` and the multipliers; `among`: the contacts that share, by default all."""
@@ -182,8 +199,10 @@ class DistributionTask:
         for name, each in zip(names, held, strict=True):
             own = slice(start, start + each.G.shape[0])
             if share := self.shares.get(name, 0.0):
-                f = share * mass(state) * state.frame(each.frame).T.rotation.T.dot(state.robot.model.gravity.linear)
-                lam[own] = fade * each.inverse[:, 3:].dot(f)
+                f = share * load(state) * state.terms.com[2].T.dot(state.robot.model.gravity.linear)
+                lam[own] = fade * each.inverse[:, 3:].dot(each.seen.J[3:, :3].dot(f))
+            if (force := self.press.get(name, 0.0)) and each.cone is not None:
+                lam[own] += fade * force * each.cone.up
             if begun is not None and fade < 1.0 and (before := begun.loads.get(name)) is not None:
                 lam[own] += (1.0 - fade) * before
             A[name] = one[:, own]
@@ -192,7 +211,28 @@ class DistributionTask:
         for name in contacts.keys() - A.keys():
             A[name] = D.dot(contacts[name].push[:, :6].T)
         A["vdot"] = D.dot(state.M[:6])
-        return Rows("", A, lam, lam, one * (weight / mass(state)))
+        return Rows("", A, lam, lam, one * (weight / load(state)))
+
+    def internal(self, state: State, lam: Mapping[str, Array]) -> tuple[float, float]:
+        """Internal force that `press` asks for, and that of multipliers by contact (k,) [N].
+
+        N lambda, N = I - D P, moves nothing. Of `press` that is u, whose mean push is what is asked for; of lambda it
+        counts along u: (u, lambda)_W / (u, u)_W of it, for N projects orthogonally in W. Not numbers where u is zero.
+        """
+        held = list(state.contacts.values())
+        push = np.concatenate([each.push for each in held])
+        weight, S = np.empty(len(push)), np.empty((6, 6))
+        kernels.carried(push, np.concatenate([each.A for each in held]), SOLE_RADIUS, weight, S)
+        ups = [np.zeros(len(each.A)) if each.cone is None else each.cone.up for each in held]
+        asked = np.concatenate([self.press.get(name, 0.0) * up for name, up in zip(state.contacts, ups, strict=True)])
+        P = push[:, :6].T
+        u = asked - P.T.dot(inertia(S).dot(P.dot(asked))) / weight
+        size = float(u.dot(weight * u))
+        if size <= 1e-6 * float(asked.dot(weight * asked)):
+            return math.nan, math.nan
+        pressing = [name in self.press for name in state.contacts for _ in range(len(state.contacts[name].A))]
+        mean = float(np.concatenate(ups)[pressing].dot(u[pressing])) / len(self.press)
+        return mean, mean * float(u.dot(weight * np.concatenate([lam[name] for name in state.contacts]))) / size
 
 
 class WholeBodyPosture(PostureTask):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from .pair import seen
 from .qp import Array
 from .robot import Robot
 
@@ -23,6 +24,7 @@ class Goal(NamedTuple):
     rows: Array  # (r, 6)
     path: tuple[str | int, ...]  # what asks for it, in the spec
     axes: Array | None = None  # (3, 3) fixed in the world: a plane's, while the frame rolls on it
+    to: str | None = None  # T is the pose seen from this frame, not from the world
 
     def error(self, T: pin.SE3) -> Array:
         """(r,) how far a frame at T is from it [rad, m]."""
@@ -46,7 +48,7 @@ def close(robot: Robot, q: Array, goals: Sequence[Goal], steps: int = 200) -> tu
     errors: list[Array] = [np.zeros(1) for _ in goals]
     for _ in range(steps if goals else 0):
         state = robot.state(q, still)
-        frames = [state.frame(goal.frame) for goal in goals]
+        frames = [seen(state, goal.frame, goal.to) for goal in goals]
         errors = [goal.error(frame.T) for goal, frame in zip(goals, frames, strict=True)]
         J = np.concatenate([goal.rows_at(frame.T) @ frame.J for goal, frame in zip(goals, frames, strict=True)])
         damped = np.concatenate((J, 1e-6 * np.eye(robot.nv)))

@@ -1,9 +1,10 @@
-"""How the world holds a frame: natural constraints A(q) V = 0 (book eq. 11.40 ff., our (1) and (2)).
+"""How the world, or another body, holds a frame: natural constraints A(q) V = 0 (book eq. 11.40 ff., our (1) and (2)).
 
 A contact is a class with `frame`, `A(state)` (k, 6) and `Adot_V(state)` (k,) in the body axes of its frame, angular
 part first. `A' lambda` is what the robot applies to the environment. One source serves the constraint, the force
 variable and the force task; `free(state)` (6 - k, 6) picks the motion that is left, an orthonormal complement unless
-the contact knows better.
+the contact knows better. With `against` a second frame takes the place of the world: V, J and the pose are those of the
+first seen from the second, and the wrench acts on both bodies.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from . import kernels
 from .errors import WrenchError
 from .footing import Footing
 from .friction import Cone, Unilateral
+from .pair import seen
 from .qp import Array, Rows
-from .robot import State
+from .robot import Frame, State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 _ZERO, _ZEROS = np.zeros(3), np.zeros(6)
@@ -37,7 +39,7 @@ class Held:
     `slip` (k,): A V, zero while the contact holds; `B` (k, 6) is B': the wrench of the robot on its environment is
     B lambda, A' lambda where friction is not modelled; `push` (k, nv): B' J, so that the torque of the multipliers is
     push' lambda; `cone`: inequalities on them, where the contact only pushes; `lifted`: it is in the air, carries
-    nothing and goes back down. Its arrays are filled again at the next tick.
+    nothing and goes back down; `seen`: the frame as what holds it sees it. Its arrays are those of one tick.
     """
 
     A: Array
@@ -47,6 +49,7 @@ class Held:
     B: Array
     push: Array
     cone: Cone | None
+    seen: Frame
     lifted: bool = False
     _lift: Array
 
@@ -87,11 +90,14 @@ class Contact(ABC):
     load of a hinge) as known; "modelled" counts the drag of sliding friction into the contact's own wrench; "none"
     leaves it to the feedback. `pushes`: the direction in which it only pushes, and friction across it. `settling`: what
     it does about motion against it, by default nothing. `footing`: the plane it stands on, off which it carries
-    nothing. `steady`: its multipliers are forces along axes of its own, so that their cone never changes.
+    nothing. `steady`: its multipliers are forces along axes of its own, so that their cone never changes. `against`:
+    the frame of another body that holds it, instead of the world; places and fixed axes of a contact are then told in
+    the axes of that frame.
     """
 
     frame: str
     k: int
+    against: str | None = None
     feedforward: str = "none"
     pushes: Unilateral | None = None
     settling: Settling | None = None
@@ -105,6 +111,10 @@ class Contact(ABC):
     @abstractmethod
     def Adot_V(self, state: State) -> Array:
         """(k,) time derivative of A times the twist of `frame`."""
+
+    def seen(self, state: State) -> Frame:
+        """Its frame as what holds it sees it."""
+        return seen(state, self.frame, self.against)
 
     def free(self, state: State) -> Array:
         """(6 - k, 6) rows that pick the free motion."""
@@ -145,7 +155,7 @@ class Contact(ABC):
 
     def _hold(self, state: State, A: Array, free: Array, inverse: Array, basis: Array, Adot_V: Array | None) -> Held:
         held = self._storage(state, len(basis))
-        kernels.select(basis, state.frame(self.frame).table, held.table, held.bias)
+        kernels.select(basis, self.seen(state).table, held.table, held.bias)
         return self._demand(state, held, A, free, inverse, Adot_V)
 
     def _storage(self, state: State, rows: int = 6) -> Held:
@@ -157,11 +167,11 @@ class Contact(ABC):
 
     def _demand(self, state: State, held: Held, A: Array, free: Array, inverse: Array, Adot_V: Array | None) -> Held:
         """The rest of what is held, once its rows are selected."""
+        held.seen = self.seen(state)
         if self.footing is not None:
-            frame = state.frame(self.frame)
-            held.lifted = self.footing.lifted(frame)
+            held.lifted = self.footing.lifted(held.seen)
         if held.lifted:
-            held.rhs -= self.footing.asked(A, frame)  # type: ignore[union-attr]
+            held.rhs -= self.footing.asked(A, held.seen)  # type: ignore[union-attr]
             if Adot_V is not None:
                 held.rhs -= Adot_V
         elif self.settling is not None:
@@ -277,7 +287,7 @@ class WorldAxesContact(AxesContact):
     hold = Contact.hold  # its rows turn with the frame
 
     def turn(self, state: State) -> Array:
-        return np.asarray(state.frame(self.frame).T.rotation.T @ self._R)
+        return np.asarray(self.seen(state).T.rotation.T @ self._R)
 
     def _turned(self, rows: Array, state: State) -> Array:
         X, R = np.zeros((6, 6)), self.turn(state).T
@@ -294,7 +304,7 @@ class WorldAxesContact(AxesContact):
         return A  # its rows are orthonormal
 
     def Adot_V(self, state: State) -> Array:
-        V = state.frame(self.frame).V
+        V = self.seen(state).V
         return self._turned(self._A, state)[:, 3:] @ (pin.skew(V[:3]) @ V[3:])  # numpy's cross is slow
 
 
@@ -318,7 +328,7 @@ class ScrewContact(Contact):
         self._zero = np.zeros(self.k)
 
     def A(self, state: State) -> Array:
-        X = self._origin.actInv(state.frame(self.frame).T)
+        X = self._origin.actInv(self.seen(state).T)
         return self._A0.dot(X.toActionMatrix()[_ANGULAR_FIRST])
 
     def pseudo_inverse(self, A: Array) -> Array:
@@ -328,7 +338,7 @@ class ScrewContact(Contact):
         return self._zero
 
     def free(self, state: State) -> Array:
-        back = self._origin.actInv(state.frame(self.frame).T).toActionMatrixInverse()[_ANGULAR_FIRST]
+        back = self._origin.actInv(self.seen(state).T).toActionMatrixInverse()[_ANGULAR_FIRST]
         screws = self._screws.dot(back.T)
         return np.linalg.solve(screws.dot(screws.T), screws)
 
@@ -373,7 +383,7 @@ class SphereContact(Contact):
 
     def _normal(self, state: State) -> tuple[Array, float]:
         """n in the axes of the frame, and the distance from the centre."""
-        T = state.frame(self.frame).T
+        T = self.seen(state).T
         from_centre = T.rotation.T @ (T.translation - self._centre)
         radius = math.sqrt(from_centre @ from_centre)
         return from_centre / radius, radius
@@ -400,7 +410,8 @@ class SphereContact(Contact):
         return A  # its row is a unit vector
 
     def Adot_V(self, state: State) -> Array:
-        (w0, w1, w2, v0, v1, v2), v = state.frame(self.frame).V.tolist(), state.frame(self.frame).V[3:]
+        V = self.seen(state).V
+        (w0, w1, w2, v0, v1, v2), v = V.tolist(), V[3:]
         n, radius = self._normal(state)
         turning = n @ (w1 * v2 - w2 * v1, w2 * v0 - w0 * v2, w0 * v1 - w1 * v0)
         return np.array([turning + (v @ v - (n @ v) ** 2) / radius])

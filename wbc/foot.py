@@ -30,7 +30,7 @@ class RoundFoot(WorldAxesContact):
         self._A = np.hstack((radius * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.eye(3)))
 
     def hold(self, state: State) -> Held:
-        frame, held, basis = state.frame(self.frame), self._storage(state), np.empty((6, 6))
+        frame, held, basis = self.seen(state), self._storage(state), np.empty((6, 6))
         inverse, Adot_V = np.empty((3, 6)), np.empty(3)
         kernels.rolling(self._R, frame.R, self.radius, frame.table, basis, inverse, Adot_V, held.table, held.bias)
         return self._demand(state, held, basis[:3], basis[3:], inverse, Adot_V)
@@ -40,5 +40,5 @@ class RoundFoot(WorldAxesContact):
         return np.hstack((np.zeros((3, 3)), A[:, 3:]))
 
     def Adot_V(self, state: State) -> Array:
-        V = state.frame(self.frame).V
+        V = self.seen(state).V
         return self.turn(state).T @ np.cross(V[:3], V[3:])

@@ -108,7 +108,7 @@ class Unilateral:
         if not self.modelled:
             self._kept = cone if contact.steady else None
             return A, G, cone
-        frame = state.frame(contact.frame)
+        frame = contact.seen(state)
         B = sliding_map(A, d, self.direction(state, frame, slides).dot(slides), self.mu).T
         return B, B.dot(frame.J), cone
 
@@ -149,7 +149,7 @@ class Unilateral:
 
     def told(self, contact: Contact, state: State, F: Array) -> dict[str, Any]:
         """What a wrench (6,) means at a surface: push [N], drag (2,) and the slip (2,) [m/s] across it, tilt [rad]."""
-        frame = state.frame(contact.frame)
+        frame = contact.seen(state)
         d, *rows = self.turned(contact, state)
         across = np.concatenate(rows)
         told = {"push": d.dot(F[3:]), "drag": across.dot(F[3:]), "slip": across.dot(frame.V[3:])}
@@ -198,7 +198,7 @@ def unilateral(
         made.modelled = True
         if not len(slides):
             raise WrenchError("modelled friction is that of sliding, but the contact holds every direction across")
-        J = state.frame(contact.frame).J
+        J = contact.seen(state).J
         body = (d, slides) if turn is None else (turn @ d, slides @ turn.T)
         most = critical_friction(contact.A(state), J @ state.solve_M(J.T), *body)
         if not mu < most:

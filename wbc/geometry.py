@@ -17,14 +17,15 @@ from .axes import MOMENTUM_AXES
 from .centroidal import com, middle
 from .closing import Goal
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, Settling, SphereContact, WorldAxesContact
+from .errors import ModelError
 from .faults import Faults, Place
 from .foot import RoundFoot
 from .footing import Footing
 from .friction import unilateral
 from .names import MOVING
+from .pair import movable, relative_axes, seen
 from .qp import Array
 from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, arc, constant, hold, quintic, ramp, sine
-from .relative import relative_axes
 from .robot import Robot
 from .surface import Sole
 from .transition import Reading
@@ -63,7 +64,7 @@ class Geometry:
                     self.made[key] = self._contact(name, entry, q)
                 contact, paths[name] = self.made[key]
                 contacts[name] = copy.copy(contact)  # a phase's own: its drag follows what moves it in that phase
-                contacts[name].feedforward = entry.feedforward
+                contacts[name].feedforward, contacts[name].against = entry.feedforward, entry.with_
                 rate = entry.settling if entry.settling is not None else SETTLING if self.robot.base else 0.0
                 contacts[name].settling = Settling(rate) if rate else None
                 contacts[name].footing = self._footing(name, entry)
@@ -119,7 +120,8 @@ class Geometry:
                 if self._ground(name, spec.contacts[name]):
                     goals.append(self._standing(name, T, q))
                     continue
-                goals.append(Goal(contact.frame, paths[name](0.0).T if name in paths else T, rows, ("contacts", name)))
+                T = paths[name](0.0).T if name in paths else T
+                goals.append(Goal(contact.frame, T, rows, ("contacts", name), to=contact.against))
         return goals
 
     def force(self, contact: str, axis: str, value: float | str) -> Scalar:
@@ -204,8 +206,8 @@ class Geometry:
         made: Reference = self.made[key]
         return made
 
-    def _check_axes(self, frame: str, axes: Sequence[str], path: Place) -> None:
-        able = [VELOCITY_AXES[i] for i in self.robot.axes(frame)]
+    def _check_axes(self, frame: str, axes: Sequence[str], path: Place, able: Sequence[str] = ()) -> None:
+        able = able or [VELOCITY_AXES[i] for i in self.robot.axes(frame)]
         if extra := [axis for axis in axes if axis not in able]:
             message = (
                 f"{self.spec.robot} cannot move {frame} along {', '.join(extra)}; expected some of {', '.join(able)}"
@@ -213,28 +215,42 @@ class Geometry:
             self.faults.add(path, message)
 
     def _on(self, name: str, contact: specs.Contact, q: Array) -> tuple[pin.SE3, str | None]:
-        """Where the world holds the frame at the start, and the scene's frame that the start must be closed onto."""
+        """Where what holds the frame has it at the start, and the frame there that the start must be closed onto."""
         if ground := self._ground(name, contact):
             return self.robot.fixed_pose(ground), ground
-        on = contact.on or (name if name in self.robot.frames else None)
-        if on is not None:
-            return self.robot.fixed_pose(on), on
-        return self.robot.state(q, np.zeros(self.robot.nv)).frame(contact.frame).T, None
+        if (on := self._closed_on(name, contact)) is not None:
+            return self._place(on, contact.with_), on
+        return seen(self.robot.state(q, np.zeros(self.robot.nv)), contact.frame, contact.with_).T, None
+
+    def _closed_on(self, name: str, contact: specs.Contact) -> str | None:
+        """The frame that a contact closes against: `on`, else the one of its own name, if that is where it is held."""
+        if contact.on is not None or name not in self.robot.frames:
+            return contact.on
+        return name if contact.with_ is None or self.robot.wrench_map(contact.with_, name) is not None else None
+
+    def _place(self, frame: str, to: str | None) -> pin.SE3:
+        """Pose of a frame that is fixed to the link of `to`, seen from there, or to the world."""
+        if to is None:
+            return self.robot.fixed_pose(frame)
+        ends = [self.robot.model.frames[self.robot.frame_id(each)] for each in (to, frame)]
+        if ends[0].parentJoint != ends[1].parentJoint:
+            raise ModelError(f"frame {frame!r} moves against {to!r}; expected one on its link")
+        return ends[0].placement.actInv(ends[1].placement)
 
     def _ground(self, name: str, contact: specs.Contact) -> str | None:
         """The frame on whose plane the contact stands wherever it is."""
-        if contact.ground is not None:
+        if contact.ground is not None or contact.with_ is not None:
             return contact.ground
         held = contact.on is not None or name in self.robot.frames or contact.push is None or contact.kind != "holds"
         return FLOOR if self.robot.base and not held and FLOOR in self.robot.frames else None
 
     def _footing(self, name: str, entry: specs.Contact) -> Footing | None:
         """What a foot of a robot with a floating base stands on; None of what is held in another way."""
-        ground = self._ground(name, entry)
+        ground = self._ground(name, entry) if entry.with_ is None else self._closed_on(name, entry)
         point = set(entry.constrained) == {"vx", "vy", "vz"}
-        if ground is None or not self.robot.base or not (point or entry.sole):
+        if ground is None or entry.push is None or not self.robot.base or not (point or entry.sole):
             return None
-        plane = self.robot.fixed_pose(ground)
+        plane = self._place(ground, entry.with_)
         n = plane.rotation[:, 2]
         return Footing(n, float(n @ plane.translation), entry.radius or 0.0, entry.sole)
 
@@ -254,18 +270,18 @@ class Geometry:
     def distance(self, name: str, q: Array) -> Reading | None:
         """How far the frame of a contact is from where it is held; None where it is not held along one direction."""
         entry = self.spec.contacts[name]
-        place, _ = self._on(name, entry, q)
+        (place, _), to = self._on(name, entry, q), entry.with_
         if entry.surface is not None and entry.surface.sphere is not None:
-            return quantity.from_sphere(entry.frame, place.translation, entry.surface.sphere.radius)
+            return quantity.from_sphere(entry.frame, place.translation, entry.surface.sphere.radius, to)
         if entry.push is not None:
             outward = -1.0 if entry.push.along.startswith("+") else 1.0
-            return quantity.from_plane(entry.frame, place, "xyz".index(entry.push.along[-1]), outward)
+            return quantity.from_plane(entry.frame, place, "xyz".index(entry.push.along[-1]), outward, to)
         linear = [VELOCITY_AXES.index(axis) - 3 for axis in entry.constrained if axis[0] == "v"]
-        return quantity.from_plane(entry.frame, place, linear[0]) if len(linear) == 1 else None
+        return quantity.from_plane(entry.frame, place, linear[0], to=to) if len(linear) == 1 else None
 
     def _contact(self, name: str, entry: specs.Contact, q: Array) -> tuple[Contact, Reference]:
         origin, on = self._on(name, entry, q)
-        able = tuple(VELOCITY_AXES[i] for i in self.robot.axes(entry.frame))
+        able = tuple(VELOCITY_AXES[i] for i in movable(self.robot, entry.frame, entry.with_))
         if entry.kind == "free":
             return self._screws(name, entry, origin)
         if entry.kind == "A":
@@ -275,7 +291,7 @@ class Geometry:
         if entry.kind == "natural":
             self._check_table(name, entry, able)
         elif entry.holds != "all":
-            self._check_axes(entry.frame, entry.constrained, ("contacts", name, "holds"))
+            self._check_axes(entry.frame, entry.constrained, ("contacts", name, "holds"), able)
         held = able if entry.holds == "all" else entry.constrained
         free = tuple(axis for axis in able if axis not in held)
         contact: Contact = AxesContact(entry.frame, held, free)
@@ -288,7 +304,7 @@ class Geometry:
         for axis in free:
             component, path = VELOCITY_AXES.index(axis), ("contacts", name, "artificial", axis)
             target = entry.motion_targets.get(axis, 0.0)
-            along[component] = self._scalar(target, component, path, on or "world")
+            along[component] = self._scalar(target, component, path, on or entry.with_ or "world")
             if isinstance(target, str) and self.spec.references[target].kind == "arc":
                 # it moves across its heading as well, by turning: what a wheel cannot do, and need not
                 along = components(self.spec.references[target]) | along
@@ -345,7 +361,7 @@ class Geometry:
         screws, scalars = [], []
         for label, motion in (entry.free or {}).items():
             screw = motion.screw
-            place = origin if screw.through == "self" else self.robot.fixed_pose(screw.through)
+            place = origin if screw.through == "self" else self._place(screw.through, entry.with_)
             named = isinstance(screw.axis, str)
             component = "xyz".index(screw.axis) if isinstance(screw.axis, str) else 2
             axis = np.eye(3)[component] if named else np.array(screw.axis) / np.linalg.norm(np.array(screw.axis))

@@ -79,6 +79,10 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
     for task in spec.tasks.values():
         if not isinstance(task, specs.RelativeTask):
             seen_from.pop(str(getattr(task, "target", "")), None)
+    for name, contact in spec.contacts.items():  # nor is what is drawn on a body that moves
+        if contact.with_ is not None:
+            where = contact.on or (name if name in robot.frames else contact.with_)
+            seen_from |= {str(target): where for target in contact.motion_targets.values()}
     for name, reference in spec.references.items():
         if reference.curve.in_ not in ("world", "self", seen_from.get(name)):
             names.frame(reference.curve.in_, ("references", name, reference.kind, "in"), fixed=True)
@@ -86,11 +90,14 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
         names.frame(contact.frame, ("contacts", name, "frame"), moves=True, body=True)
         if contact.ground is not None:
             names.frame(contact.ground, ("contacts", name, "ground"), fixed=True)
-        if contact.on is not None:
-            names.frame(contact.on, ("contacts", name, "on"), fixed=True)
+        if contact.with_ is not None:
+            names.apart(contact.frame, contact.with_, ("contacts", name, "with"))
+        places: dict[Place, str] = {("on",): contact.on} if contact.on is not None else {}
         for screw, motion in (contact.free or {}).items():
             if motion.screw.through != "self":
-                names.frame(motion.screw.through, ("contacts", name, "free", screw, "screw", "through"), True)
+                places["free", screw, "screw", "through"] = motion.screw.through
+        for key, place in places.items():
+            names.held_by(contact.with_, place, ("contacts", name, *key))
     for name, task in spec.tasks.items():
         if isinstance(task, MOVING) and task.frame is not None:
             names.frame(task.frame, ("tasks", name, "frame"), moves=True, body=not isinstance(task, specs.MotionTask))
@@ -152,6 +159,24 @@ class _Names:
         if self.robot.wrench_map(task.frame, other) is not None:
             message = f"{task.frame!r} and {other!r} are on one link; expected a frame that moves against it"
             self.faults.add(("tasks", name, key), message)
+
+    def apart(self, frame: str, other: str, path: Place) -> None:
+        """A frame that the robot moves against another one, and against the world."""
+        self.frame(other, path, body=True)
+        if not {frame, other} <= set(self.robot.frames):
+            return
+        if not self.robot.model.frames[self.robot.frame_id(other)].parentJoint:
+            self.faults.add(path, f"{other!r} is fixed to the world; expected a frame that moves, or `on: {other}`")
+        elif self.robot.wrench_map(frame, other) is not None:
+            self.faults.add(path, f"{frame!r} and {other!r} are on one link; expected a frame that moves against it")
+
+    def held_by(self, body: str | None, place: str, path: Place) -> None:
+        """A place where a contact is held: fixed to the world, or on the link of `body`."""
+        self.frame(place, path, fixed=body is None)
+        if body is None or not {body, place} <= set(self.robot.frames):
+            return
+        if self.robot.wrench_map(body, place) is None:
+            self.faults.add(path, f"{place!r} is not on the link of {body!r}; expected a frame that moves with it")
 
     def mocap(self, name: str, path: Place) -> None:
         """A body that the simulator can move by hand."""

@@ -17,6 +17,7 @@ from . import analytic
 from .contact import Contact
 from .controller import Memory, Phase
 from .impedance import NEW, AdmittanceTask, Compliance, Felt
+from .pair import movable
 from .qp import Array
 from .reference import Sample
 from .robot import Robot, State
@@ -56,7 +57,7 @@ def closed_form(
     known = np.zeros(robot.nv)
     for name in set(phase.fed) & set(given):
         contact = phase.contacts[name]
-        known += dynamics(contact.frame).J.T @ _known(contact, state, given[name].F)
+        known += _of(dynamics, contact).J.T @ _known(contact, state, given[name].F)
     felt = {name: _felt(task, name, state, memory, given) for name, task in compliant.items()}
     counted = [phase.contacts[name].frame for name in set(phase.fed) & set(given)]
     for name, task in compliant.items():
@@ -73,7 +74,7 @@ def closed_form(
     base = dynamics(frames[0])
     vdot_posture = _posture(phase, state)
     commands = {name: _command(phase, name, law, state, dynamics, memory, given) for name in phase.contacts}
-    held = {name: (contact.A(state), dynamics(contact.frame)) for name, contact in phase.contacts.items()}
+    held = {name: (contact.A(state), _of(dynamics, contact)) for name, contact in phase.contacts.items()}
     adot = {name: contact.Adot_V(state) for name, contact in phase.contacts.items()}
     rendered = [_compliance(phase, task, felt[name], state, dynamics, held) for name, task in compliant.items()]
     if len(motions) == 1 and len(held) == 1 and motions[0].contact in held and not rendered:
@@ -98,6 +99,19 @@ def closed_form(
         lam[name] = answer[start : start + A.shape[0]]
         start += A.shape[0]
     return tau, answer[: robot.nv], lam
+
+
+def _of(dynamics: Callable[[str], Dynamics], contact: Contact) -> Dynamics:
+    """The dynamics of a contact's frame; against another body those of the relative motion (chapter 3)."""
+    d = dynamics(contact.frame)
+    if contact.against is None:
+        return d
+    other = dynamics(contact.against)
+    T = analytic.inverse(other.T) @ d.T
+    Ad = analytic.adjoint(analytic.inverse(T))
+    V = d.V - Ad @ other.V
+    drift = d.drift - Ad @ other.drift + analytic.ad(V) @ Ad @ other.V
+    return d._replace(J=d.J - Ad @ other.J, drift=drift, V=V, T=T)
 
 
 def _posture(phase: Phase, state: State) -> Array:
@@ -235,8 +249,8 @@ def _hybrid(
 ) -> Array:
     (name,) = held
     A, d = held[name]
-    axes = list(robot.axes(task.frame))
-    y = _motion(task, state, dynamics(task.frame))
+    axes = list(movable(robot, task.frame, phase.contacts[name].against))
+    y = _motion(task, state, d)
     # an arm of fewer axes cannot move along all that the contact leaves free: the rows that it can
     _, s, rows = np.linalg.svd(phase.contacts[name].free(state)[:, axes], full_matrices=False)
     S = rows[s > 1e-9]
@@ -266,7 +280,7 @@ def _stacked(
         target.append(-adot[name])
         drift.append(A @ d.drift)
     for task in motions:
-        d = dynamics(task.frame)
+        d = dynamics(task.frame) if task.contact is None else held[task.contact][1]
         S = phase.contacts[task.contact].free(state) if task.contact is not None else task.selection
         G.append(S @ d.J)
         target.append(S @ _motion(task, state, d))
@@ -312,7 +326,7 @@ def _command(
     """(6,) the wrench that the force loop asks for, before any projection."""
     task = force_tasks(phase).get(name)
     contact = phase.contacts[name]
-    A, d = contact.A(state), dynamics(contact.frame)
+    A, d = contact.A(state), _of(dynamics, contact)
     if task is None:
         return np.zeros(6)
     target = task.target(state.since(task))

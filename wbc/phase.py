@@ -102,7 +102,7 @@ def place(
         for key in ("frame", "to", "at"):
             if isinstance(named := getattr(task, key, None), str):
                 robot.frame_id(named)
-        for shared in getattr(task, "shares", ()):
+        for shared in (*getattr(task, "shares", ()), *getattr(task, "press", ())):
             if shared not in contacts:
                 raise NameNotFound(f"contact (of task {name!r})", shared, contacts)
     torque, joint = make_limits(robot, limits)
@@ -151,7 +151,7 @@ def carry(state: State, phase: Phase) -> None:
     for name in phase.fed:
         if name in state.measured:
             held = state.contacts[name]
-            state.carry(held.frame, phase.contacts[name].known(state, held, state.measured[name]))
+            state.carry(held.seen, phase.contacts[name].known(state, held, state.measured[name]))
 
 
 def carry_felt(state: State, phase: Phase, felt: Mapping[str, Felt]) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from .contact import Contact
+from .pair import seen
 from .qp import Array
 from .robot import State
 from .task import ForceTask, MotionTask
@@ -34,17 +35,17 @@ def force(contact: str, axis: int) -> Reading:
     return read
 
 
-def from_plane(frame: str, place: pin.SE3, axis: int, side: float = 1.0) -> Reading:
-    """How far a frame is beyond `place`, on the `side` (1 or -1) of its axis 0 .. 2 [m]."""
+def from_plane(frame: str, place: pin.SE3, axis: int, side: float = 1.0, to: str | None = None) -> Reading:
+    """How far a frame is beyond `place`, on the `side` (1 or -1) of its axis 0 .. 2 [m]; `to`: seen from that frame."""
     normal = side * place.rotation[:, axis]
     origin = float(normal @ place.translation)
-    return lambda state: float(normal.dot(state.frame(frame).T.translation)) - origin
+    return lambda state: float(normal.dot(seen(state, frame, to).p)) - origin
 
 
-def from_sphere(frame: str, centre: Array, radius: float) -> Reading:
-    """How far a frame is outside of a sphere [m]."""
+def from_sphere(frame: str, centre: Array, radius: float, to: str | None = None) -> Reading:
+    """How far a frame is outside of a sphere [m]; `to`: seen from that frame."""
     centre = centre.copy()
-    return lambda state: float(np.linalg.norm(state.frame(frame).T.translation - centre)) - radius
+    return lambda state: float(np.linalg.norm(seen(state, frame, to).p - centre)) - radius
 
 
 def slip(contact: Contact) -> Reading | None:
@@ -52,7 +53,7 @@ def slip(contact: Contact) -> Reading | None:
     pushes = contact.pushes
     if pushes is None or not pushes.mu or not len(pushes.held):
         return None
-    return lambda state: float(np.linalg.norm(pushes.turned(contact, state)[1].dot(state.frame(contact.frame).V[3:])))
+    return lambda state: float(np.linalg.norm(pushes.turned(contact, state)[1].dot(contact.seen(state).V[3:])))
 
 
 def error(task: MotionTask) -> Reading:

@@ -14,35 +14,15 @@ import pinocchio as pin
 from .analytic import gain_matrix
 from .dynamics import weighed
 from .errors import GainError
+from .pair import seen
 from .qp import Array, Rows
 from .reference import Reference
-from .robot import Frame, Robot, State
+from .robot import Frame, State
 from .task import MotionTask
 from .wrench import VELOCITY_AXES
 
-_ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))
 NEAREST = 0.01  # [m] from which on a gaze no longer turns faster as its target comes nearer
 BEHIND = -0.999  # cosine of the angle up to which a gaze is exact: looking away it does not know which way to turn
-
-
-class RelativeFrame(Frame):
-    """One frame seen from another: T = T_to^-1 T_frame, and the twist of the first against the second, in its own axes.
-
-    V = V_frame - Ad V_to with Ad = Ad_{T^-1}, and drift = drift_frame - Ad drift_to + ad_V (Ad V_to).
-    """
-
-    __slots__ = ()
-
-    def __init__(self, frame: Frame, to: Frame) -> None:
-        super().__init__(frame.J.shape[1], frame.source)
-        T = to.T.actInv(frame.T)
-        self.R[:], self.p[:] = T.rotation, T.translation
-        Ad = T.toActionMatrixInverse()[_ANGULAR_FIRST]
-        np.subtract(frame.table, Ad.dot(to.table), out=self.table)
-        w, v = pin.skew(self.V[:3]), pin.skew(self.V[3:])
-        carried = Ad.dot(to.V)
-        self.drift[:3] += w.dot(carried[:3])
-        self.drift[3:] += w.dot(carried[3:]) + v.dot(carried[:3])
 
 
 class RelativeTask(MotionTask):
@@ -64,23 +44,9 @@ class RelativeTask(MotionTask):
     ) -> None:
         super().__init__(frame, reference, kp, kd, axes, error=error)
         self.to = to
-        self._last: tuple[State, Frame] | None = None
 
     def seen(self, state: State) -> Frame:
-        if self._last is None or self._last[0] is not state:
-            self._last = (state, RelativeFrame(state.frame(self.frame), state.frame(self.to)))
-        return self._last[1]
-
-
-def relative_axes(robot: Robot, frame: str, to: str, states: int = 8) -> tuple[str, ...]:
-    """Axes of `frame` along which the robot can ever move it against `to`: none of two frames of one link."""
-    rng, reach = np.random.default_rng(0), np.zeros(6)
-    for _ in range(states):
-        q = pin.integrate(robot.model, robot.keyframes["home"], rng.uniform(-1.5, 1.5, robot.nv))
-        state = robot.state(q, np.zeros(robot.nv))
-        J = RelativeFrame(state.frame(frame), state.frame(to)).J
-        reach = np.maximum(reach, np.abs(J).max(axis=1))
-    return tuple(axis for axis, most in zip(VELOCITY_AXES, reach, strict=True) if most > 1e-9)
+        return seen(state, self.frame, self.to)
 
 
 class GazeTask:

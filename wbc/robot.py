@@ -47,7 +47,7 @@ class Frame:
 class Terms:
     """Pinocchio's storage for a robot, and views of what a tick reads of it, made once: each costs as much as its use.
 
-    `held`: contact -> its storage.
+    `held`: contact -> its storage; `pairs`: (frame, to) -> the first seen from the second.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -58,11 +58,17 @@ class Terms:
         self.count = 0  # states computed so far
         self.frames: dict[str, Frame] = {}
         self.held: dict[Any, Any] = {}
+        self.pairs: dict[tuple[str, str], Any] = {}
 
     @cached_property
     def mass(self) -> float:
         """Of the whole robot [kg]."""
         return float(self.data.mass[0])
+
+    @cached_property
+    def load(self) -> float:
+        """Of what the contacts carry: all that moves with a floating base, be it a robot or a box [kg]."""
+        return float(self.data.mass[1 if self.robot.base else 0])
 
     @cached_property
     def com(self) -> tuple[Array, Array, Array, Array]:
@@ -147,9 +153,9 @@ class State:
             kernels.frame(*found.source, self.v, found.R, found.p, found.table)
         return found
 
-    def carry(self, frame: str, F: Array) -> None:
+    def carry(self, frame: str | Frame, F: Array) -> None:
         """Count a known wrench F (6,) of the robot on its environment, in the axes of `frame`: bias + J' F."""
-        self.bias = self.bias + self.frame(frame).J.T.dot(F)
+        self.bias = self.bias + (self.frame(frame) if isinstance(frame, str) else frame).J.T.dot(F)
 
     def since(self, task: Any) -> float:
         """Time that a task has been active [s], on which its targets are functions."""
@@ -174,7 +180,8 @@ class Robot:
     `gravity`: who adds g(q) to the torque, "controller" (this package) or "robot" (its driver; limits hold for the
     sum).
     `base`: how many of the velocities, the first ones, no motor drives: 0, or 6 of a floating base, whose q begins with
-    (x, y, z, quaternion xyzw) and whose v with (v, w) in the axes of the base. `joints` are the nu = nv - base others.
+    (x, y, z, quaternion xyzw) and whose v with (v, w) in the axes of the base: a robot's own, or a free body that comes
+    first in the model and that arms are to carry. `joints` are the nu = nv - base others.
     Limits are (nu,): tau [N m], q [rad or m], v [rad/s or m/s], infinite where the model states none.
     """
 
@@ -272,6 +279,11 @@ class Robot:
     @cached_property
     def nv(self) -> int:
         return int(self.model.nv)
+
+    @cached_property
+    def floats(self) -> bool:
+        """Whether all of it moves with a floating base: not of arms that stand on the world and carry one."""
+        return bool(self.base) and all(1 in self.model.supports[i] for i in range(1, self.model.njoints))
 
     @cached_property
     def nq(self) -> int:

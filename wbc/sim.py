@@ -219,8 +219,8 @@ class Simulator:
 
     def true_com(self) -> Array:
         """(3,) the robot's centre of mass at the last tick, in the world."""
-        root = int(np.flatnonzero(self.model.body_weldid)[0])
-        return np.asarray(self.data.subtree_com[self.model.body_rootid[root]].copy())
+        moving = self.model.body_weldid > 0
+        return np.asarray(np.average(self.data.xipos[moving], axis=0, weights=self.model.body_mass[moving]))
 
     def true_slip(self, frame: str) -> Array:
         """(points, 3) velocity across the contact of each touching geom of the body of `frame`, where it touches, less

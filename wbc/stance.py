@@ -1,6 +1,8 @@
 """What is measured of a robot that stands: where its mass is, how its feet slip, what they carry.
 
     TASK.position.rms_error, .max_error   distance of the true centre of mass from where a `com` task wants it [m]
+    TASK.internal.rms_error, .max_error   `press` of a distribution: internal force of the true wrenches, by
+                                          `DistributionTask.internal`, against the one asked for [N]
     CONTACT.slip                          how far a point of contact went across its normal, the farthest of them [m]
     CONTACT.cone.max_excess               how far the true wrench was beyond the controller's cone [N, N m]
     CONTACT.cone.max_asked                the same of the predicted wrench [N, N m]
@@ -28,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .centroidal import ComTask, mass
+from .centroidal import ComTask, DistributionTask, load, on_base
 from .log import Log
 from .qp import Array
 from .task import MotionTask
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
 REST = 1e-5  # [rad/s, m/s] largest velocity at rest
 RECOVERED = 0.02  # [rad/s, m/s] the same after a push
 COUNTED = 0.01  # of m g: with more the controller counts on a contact
+_ERRORS = ("rms_error", "max_error")
 
 
 def record(
@@ -49,11 +52,14 @@ def record(
     """One tick."""
     state, row = controller.state, dict[str, Any]()
     gravity = state.robot.model.gravity.linear
-    weight = mass(state) * float(np.linalg.norm(gravity))
+    weight = load(state) * float(np.linalg.norm(gravity))
     carried, dt = np.zeros(3), controller.dt
     for name, task in controller.phase.tasks.items():
         if isinstance(task, ComTask):
             row[f"{name}.away"] = task.desired(state)[0] - simulator.true_com()
+        if isinstance(task, DistributionTask) and task.press:
+            lam = {contact: log[f"{contact}.lam"][-1] for contact in state.contacts}
+            row[f"{name}.lacking"] = np.subtract(*task.internal(state, lam))
     for name, contact in contacts.items():
         speeds = simulator.true_slip(contact.frame)
         past = log[f"{name}.way"][-2] if f"{name}.way" in log and log.size > 1 else np.zeros(speeds.shape)
@@ -63,7 +69,7 @@ def record(
         if held is None or name not in out.wrenches:
             continue
         true, asked = log[f"{name}.true"][-1], out.wrenches[name]
-        carried += state.frame(held.frame).T.rotation @ asked[3:]
+        carried += on_base(state, held.seen, asked)
         row[f"{name}.unnoticed"] = float(not true.any() and float(np.linalg.norm(asked[3:])) > COUNTED * weight)
         row[f"{name}.unforeseen"] = np.abs(asked - true).max() / weight
         if held.cone is not None:
@@ -82,7 +88,9 @@ def names(phases: Sequence[Any], plant: Any = None) -> list[str]:
     for phase in phases:
         for name, task in phase.tasks.items():
             if isinstance(task, ComTask):
-                found += [f"{name}.position.{figure}" for figure in ("rms_error", "max_error")]
+                found += [f"{name}.position.{figure}" for figure in _ERRORS]
+            if isinstance(task, DistributionTask) and task.press:
+                found += [f"{name}.internal.{figure}" for figure in _ERRORS]
         for name, contact in phase.contacts.items():
             found += [f"{name}.{figure}" for figure in ("slip", "rest.error", "motion.error", "unnoticed")]
             found += [f"{name}.back"] if pushed else []
@@ -99,11 +107,15 @@ def figures(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
     all_late = log.late(np.ones(log.size, bool), settle)
     if "weight.error" in log:
         out["weight.rest.error"] = _largest(log["weight.error"][resting & all_late])
-    for name in {name for each in phases for name, task in each.tasks.items() if isinstance(task, ComTask)}:
+    tasks = {name: task for each in phases for name, task in each.tasks.items()}
+    for name, task in tasks.items():
+        what, quantity = ("away", "position") if isinstance(task, ComTask) else ("lacking", "internal")
+        if not isinstance(task, ComTask) and not (isinstance(task, DistributionTask) and task.press):
+            continue
         late = log.late(np.array([name in each.tasks for each in phases])[phase], settle)
-        away = np.linalg.norm(log[f"{name}.away"][late], axis=1) if f"{name}.away" in log else np.zeros(0)
-        out[f"{name}.position.rms_error"] = float(np.sqrt(np.mean(away**2))) if away.size else math.nan
-        out[f"{name}.position.max_error"] = _largest(away)
+        away = log[f"{name}.{what}"][late].reshape(late.sum(), -1) if f"{name}.{what}" in log else np.zeros((0, 1))
+        out[f"{name}.{quantity}.rms_error"] = float(np.sqrt((away**2).sum(axis=1).mean())) if away.size else math.nan
+        out[f"{name}.{quantity}.max_error"] = _largest(np.linalg.norm(away, axis=1))
     for name in {name for each in phases for name in each.contacts if f"{name}.way" in log}:
         active = np.array([name in each.contacts for each in phases])[phase]
         late = log.late(active, settle)

@@ -103,8 +103,9 @@ class MotionTask:
         return S.T @ small @ S
 
     def seen(self, state: State) -> Frame:
-        """The frame as its reference is told: in the world."""
-        return state.frame(self.frame)
+        """The frame as its reference is told: in the world, on a contact as what holds it sees it."""
+        held: Held | None = state.contacts.get(self.contact) if self.contact is not None else None
+        return held.seen if held is not None and held.frame == self.frame else state.frame(self.frame)
 
     def desired(self, state: State) -> Sample:
         """The reference as it is followed at this tick: since the task began, led in from where the frame was then."""
@@ -305,7 +306,7 @@ class ForceTask:
         if self._book:
             # (I - P) F = A' Lam A M_C^-1 F, and A M_C^-1 F = G M^-1 J' F; the constraint adds Lam Adot V of its own
             feedback = self._K.dot(np.concatenate((error, integral)))
-            push = held.G.dot(state.solve_M(state.frame(held.frame).J.T.dot(feedback)))
+            push = held.G.dot(state.solve_M(held.seen.J.T.dot(feedback)))
             if held.Adot_V is not None:
                 push += held.Adot_V
             command = command + inertia(metric).dot(push)

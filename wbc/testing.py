@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from .contact import Contact
 from .dynamics import inertia, mobility
+from .pair import movable
 from .qp import Array, Rows
 from .robot import Robot, State
 from .task import ForceLoop, Task
@@ -29,11 +30,11 @@ def check_contact(contact: Contact, robot: Robot, states: int = 20, seed: int = 
     A (k, 6) is finite and has k independent rows; Adot V is dA/dt V along q(t), with V kept; A and the free rows
     together span every axis that the robot can move the frame along.
     """
-    k, axes = contact.k, list(robot.axes(contact.frame))
+    k, axes = contact.k, list(movable(robot, contact.frame, contact.against))
     _equal("len(axes)", "in its names", len(contact.axes), k)
     for where, q, v in _states(robot, states, seed):
         state = robot.state(q, v)
-        frame, A, Adot_V = state.frame(contact.frame), contact.A(state), contact.Adot_V(state)
+        frame, A, Adot_V = contact.seen(state), contact.A(state), contact.Adot_V(state)
         _shaped("A", where, A, (k, 6))
         _shaped("Adot_V", where, Adot_V, (k,))
         _equal("the rank of A", where, _rank(A), k)

@@ -17,9 +17,10 @@ from .effort import TorqueTask
 from .geometry import Geometry
 from .impedance import AdmittanceTask, Compliance, ImpedanceTask
 from .observer import MomentumObserver
+from .pair import movable, relative_axes
 from .qp import Array
 from .reference import Reference, Scalar, constant
-from .relative import GazeTask, RelativeTask, relative_axes
+from .relative import GazeTask, RelativeTask
 from .robot import Robot
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .wrench import VELOCITY_AXES, WRENCH_AXES
@@ -85,7 +86,16 @@ class Tracking:
         if not self.geometry.robot.base:
             message = "the contacts of a robot that stands on its base share nothing; expected a floating base"
             self.geometry.faults.add(("tasks", name, "type"), message)
-        return DistributionTask(entry.shares)
+        forced = [task.contact for task in self.geometry.spec.tasks.values() if isinstance(task, specs.ForceTask)]
+        for contact in entry.press or ():
+            path = ("tasks", name, "press", contact)
+            if contact in self.contacts and self.contacts[contact].pushes is None:
+                message = f"contact {contact!r} does not push; expected `pushes: -z` in it, or another side"
+                self.geometry.faults.add(path, message)
+            if contact in forced:
+                message = f"contact {contact!r} has a force task, which says how it presses; expected one of the two"
+                self.geometry.faults.add(path, message)
+        return DistributionTask(entry.shares, entry.press)
 
     def _relative(self, name: str, entry: specs.RelativeTask) -> RelativeTask:
         able = relative_axes(self.geometry.robot, entry.frame, entry.to)
@@ -100,7 +110,8 @@ class Tracking:
     def _motion(self, name: str, entry: specs.MotionTask) -> MotionTask:
         frame, axes = self._place(entry)
         kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
-        law, able = self.geometry.spec.law, self.geometry.robot.axes(frame)
+        against = None if entry.contact is None else self.contacts[entry.contact].against
+        law, able = self.geometry.spec.law, movable(self.geometry.robot, frame, against)
         task = MotionTask(frame, self.references[name], kp, kd, axes, entry.contact, law, able, entry.error)
         if entry.contact is not None and (pushes := self.contacts[entry.contact].pushes) is not None:
             pushes.guide = task.desired

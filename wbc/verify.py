@@ -25,6 +25,7 @@ from .limit import TorqueLimit
 from .model import point_jacobian
 from .observer import Observed
 from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
+from .pair import movable
 from .phase import hold
 from .qp import Array
 from .relative import RelativeTask
@@ -155,7 +156,8 @@ def _rows(built: Built, phase: Phase) -> dict[Place, Array]:
         if isinstance(task, MotionTask | Compliance):
             S = task.selection if isinstance(task, MotionTask) else task.selection(state)
             S = S if task.contact is None else state.contacts[task.contact].free
-            rows["tasks", name] = S @ state.frame(task.frame).J
+            frame = state.frame(task.frame) if task.contact is None else state.contacts[task.contact].seen
+            rows["tasks", name] = S @ frame.J
     return rows
 
 
@@ -227,9 +229,10 @@ class Oracle:
     def _well_conditioned(self, phase: Phase, q: Array, v: Array) -> bool:
         state = self.built.robot.state(q, v)
         for task in motion_tasks(phase):
-            J = state.frame(task.frame).J
+            contact = phase.contacts.get(task.contact or "")
+            J = (state.frame(task.frame) if contact is None else contact.seen(state)).J
             # a frame halfway up the arm has fewer than six axes at any one pose: what counts is what the task asks for
-            J = J[list(self.built.robot.axes(task.frame))] if task.contact is not None else task.selection @ J
+            J = task.selection @ J if contact is None else J[list(movable(state.robot, task.frame, contact.against))]
             if np.linalg.cond(J @ np.linalg.solve(state.M, J.T)) > MAX_COND:
                 return False
         if phase.compliant:
@@ -239,7 +242,7 @@ class Oracle:
             G = np.concatenate(rows + [t.target(state)[0] for t in phase.compliant.values()])
             if np.linalg.cond(G @ np.linalg.solve(state.M, G.T)) > MAX_COND:
                 return False
-        held = [contact.A(state) @ state.frame(contact.frame).J for contact in phase.contacts.values() if contact.k]
+        held = [contact.A(state) @ contact.seen(state).J for contact in phase.contacts.values() if contact.k]
         if not held:
             return True
         G = np.concatenate(held)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from . import kernels
-from .centroidal import DistributionTask, WholeBodyPosture, mass
+from .centroidal import DistributionTask, WholeBodyPosture, load
 from .dynamics import inertia, mobility, torque_map
 from .effort import TorqueTask
 from .errors import LawError
@@ -175,4 +175,4 @@ class WholeBodyProgram(Program):
 def _nothing(state: State, name: str) -> Rows:
     """The cost of the multipliers of a contact in the air, which its cone makes zero."""
     zero = np.zeros(state.contacts[name].A.shape[0])
-    return Rows("", {name: None}, zero, zero, np.eye(zero.size) / mass(state))
+    return Rows("", {name: None}, zero, zero, np.eye(zero.size) / load(state))

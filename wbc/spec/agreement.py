@@ -99,6 +99,9 @@ def _of_body(task: ComTask | DistributionTask, spec: Spec, left_out: LeftOut) ->
     key: KeyPath = ("shares",)
     if isinstance(task, DistributionTask):
         shares = task.shares or ()
+        for name in task.press or ():
+            if message := _unknown(name, spec, "contacts", left_out):
+                yield ("press", name), message
     elif isinstance(task.target, Over):
         shares, key = task.target.over, ("target", "over")
     elif task.reference is not None and (message := _unknown(task.reference, spec, "references", left_out)):

@@ -1,4 +1,4 @@
-"""How the world holds a frame of the robot: the book's table (11.6), free screws, held axes, or a matrix."""
+"""How the world, or another body, holds a frame: the book's table (11.6), free screws, held axes, or a matrix."""
 
 from __future__ import annotations
 
@@ -120,8 +120,12 @@ class Contact(OneOf):
     kinds: ClassVar = ("natural", "free", "holds", "A", "surface")
 
     frame: Text = Field(description="the name of the frame of the robot or tool that is held")
+    with_: Text | None = Field(
+        default=None, alias="with", description="frame of another body that holds it, instead of the world"
+    )
     on: Text | None = Field(
-        default=None, description="frame of the scene that it closes against; else the contact's name"
+        default=None,
+        description="frame of the scene, or on the body of `with`, that it closes against; else the contact's name",
     )
     in_: Literal["frame", "on"] = Field(default="frame", alias="in", description="whose axes A is expressed in")
     natural: dict[Axis, Zero] | None = Field(
@@ -240,6 +244,10 @@ class Contact(OneOf):
                 message = f"{target:g} N is less than the least push along {side}; expected {bound}"
                 yield ("artificial", *under, force), message
         yield from self._standing()
+        if self.with_ == self.frame:
+            yield ("with",), f"{self.frame!r} is the frame itself; expected one of another body"
+        if self.with_ is not None and self.ground is not None:
+            yield ("ground",), "a body holds it, not the ground; expected either `with` or `ground`"
         if self.feedforward == "modelled" and self.friction is None:
             yield ("feedforward",), "modelled friction needs its coefficient; expected `friction: MU` beside it"
         elif self.feedforward == "modelled" and {"vx", "vy", "vz"} <= set(self.constrained):

@@ -301,6 +301,9 @@ class DistributionTask(Placed):
     shares: Annotated[dict[Text, NonNegative], Field(min_length=1)] | None = Field(
         default=None, description="shares of the weight that contacts carry at rest [1]; else evenly"
     )
+    press: Annotated[dict[Text, NonNegative], Field(min_length=1)] | None = Field(
+        default=None, description="forces with which contacts press along their `pushes` beyond what is shared [N]"
+    )
     weight: Positive = Field(default=1.0, description="weight of the cost, where inequalities make it compete [1]")
 
 

@@ -1,0 +1,70 @@
+"""One frame of the robot seen from another: what a relative pose is told by, and contacts of body against body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from .axes import VELOCITY_AXES
+from .robot import Frame, Robot, State
+
+_ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))
+
+
+class RelativeFrame(Frame):
+    """One frame seen from another: T = T_to^-1 T_frame, and the twist of the first against the second, in its own axes.
+
+    V = V_frame - Ad V_to with Ad = Ad_{T^-1}, and drift = drift_frame - Ad drift_to + ad_V (Ad V_to). A wrench F of the
+    first on the second loads the joints with J' F, for it acts on both.
+    """
+
+    __slots__ = ("_ends",)
+
+    def __init__(self, frame: Frame, to: Frame) -> None:
+        super().__init__(frame.J.shape[1], frame.source)
+        self._ends = frame, to
+        self.update()
+
+    def update(self) -> None:
+        """From both frames as they are now."""
+        frame, to = self._ends
+        T = to.T.actInv(frame.T)
+        self._T, self.R[:], self.p[:] = None, T.rotation, T.translation
+        Ad = T.toActionMatrixInverse()[_ANGULAR_FIRST]
+        np.subtract(frame.table, Ad.dot(to.table), out=self.table)
+        w, v = pin.skew(self.V[:3]), pin.skew(self.V[3:])
+        carried = Ad.dot(to.V)
+        self.drift[:3] += w.dot(carried[:3])
+        self.drift[3:] += w.dot(carried[3:]) + v.dot(carried[:3])
+
+
+def seen(state: State, frame: str, to: str | None) -> Frame:
+    """A frame as it is seen from another one, or from the world; computed once a tick. Raises NameNotFound."""
+    if to is None:
+        return state.frame(frame)
+    pairs = state.terms.pairs
+    found: RelativeFrame | None = pairs.get((frame, to))
+    ends = state.frame(frame), state.frame(to)
+    if found is None:
+        found = pairs[frame, to] = RelativeFrame(*ends)
+    elif found.of != state.count:
+        found.update()
+    found.of = state.count
+    return found
+
+
+def movable(robot: Robot, frame: str, to: str | None) -> tuple[int, ...]:
+    """Indices 0 .. 5 of the axes along which the robot can ever move a frame against another one, or the world."""
+    if to is None:
+        return robot.axes(frame)
+    return tuple(VELOCITY_AXES.index(axis) for axis in relative_axes(robot, frame, to))
+
+
+def relative_axes(robot: Robot, frame: str, to: str, states: int = 8) -> tuple[str, ...]:
+    """Axes of `frame` along which the robot can ever move it against `to`: none of two frames of one link."""
+    rng, reach = np.random.default_rng(0), np.zeros(6)
+    for _ in range(states):
+        q = pin.integrate(robot.model, robot.keyframes["home"], rng.uniform(-1.5, 1.5, robot.nv))
+        state = robot.state(q, np.zeros(robot.nv))
+        reach = np.maximum(reach, np.abs(seen(state, frame, to).J).max(axis=1))
+    return tuple(axis for axis, most in zip(VELOCITY_AXES, reach, strict=True) if most > 1e-9)
