@@ -126,6 +126,13 @@ SPECS: dict[str, dict[str, float]] = {
             ("g1_push", 30.0, ("left_foot", "right_foot")),
         )
     },
+    "panda_dual_box": {
+        "squeeze.internal.rms_error": 0.02,  # [N]
+        "carry.position.rms_error": 5e-4,
+        **{f"{palm}.slip": 5e-4 for palm in ("left", "right")},
+        **{f"{palm}.cone.max_excess": 1e-6 for palm in ("left", "right")},
+        "joint.max_excess": 0,
+    },
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
 }
 

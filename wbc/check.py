@@ -7,13 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from .build import build
-from .controller import Controller, Phase, Status
+from .controller import Controller, Output, Phase, Status
 from .free_motion import MassRange
 from .limit import TorqueLimit
 from .spec import Spec
 from .stability import Pole
+
+FALLS = 0.01  # of gravity's acceleration: from here on the start of a floating base is a fall
 
 
 @dataclass(frozen=True)
@@ -61,18 +64,36 @@ def check(spec: Spec) -> Report:
     out = controller.step(0.0, built.q, np.zeros(built.robot.nv))
     # references begin at rest: a torque that reaches its limit here cannot even hold the robot where it is
     held = not any(name.startswith("torque[") for name in out.active) and "yield" not in out.reason
-    feasible = out.status in (Status.OK, Status.LIMITED) and held
+    falls = _falling(controller, out)
+    feasible = out.status in (Status.OK, Status.LIMITED) and held and not falls
     return Report(
         Path(spec.file).stem,
         built.robot.model_error,
         feasible,
-        out.reason,
+        "; ".join(filter(None, [out.reason, falls])),
         built.poles,
         built.damping_margins,
         built.damping_limits,
         built.notes,
         built.masses,
     )
+
+
+def _falling(controller: Controller, out: Output) -> str:
+    """What is said of a floating base, a walker or a body to be carried, that its contacts do not hold at the start."""
+    robot, state = controller.robot, controller.state
+    g = robot.model.gravity.linear
+    if not robot.base or not g.any() or out.status not in (Status.OK, Status.LIMITED):
+        return ""
+    share = float(state.terms.com[2].dot(out.vdot[:3]).dot(g) / g.dot(g))
+    if share < FALLS:
+        return ""
+    base = next(f.name for f in robot.model.frames if f.parentJoint == 1 and f.type == pin.FrameType.BODY)
+    holding = [name for name, held in state.contacts.items() if np.abs(held.push[:, : robot.base]).max(initial=0.0) > 0]
+    if not holding:
+        return f"nothing carries {base!r}, so it falls; expected a contact that holds it from the start"
+    falls = f"{base!r} falls with {share:.0%} of gravity, for {', '.join(holding)} cannot carry it"
+    return f"{falls}; expected more contacts, more friction, or a harder `press`"
 
 
 def _without_rate(phase: Phase) -> Phase:

@@ -246,11 +246,11 @@ class Geometry:
 
     def _footing(self, name: str, entry: specs.Contact) -> Footing | None:
         """What a foot of a robot with a floating base stands on; None of what is held in another way."""
-        ground = self._ground(name, entry) if entry.with_ is None else self._closed_on(name, entry)
+        ground = self._ground(name, entry)
         point = set(entry.constrained) == {"vx", "vy", "vz"}
-        if ground is None or entry.push is None or not self.robot.base or not (point or entry.sole):
+        if ground is None or not self.robot.base or not (point or entry.sole):
             return None
-        plane = self._place(ground, entry.with_)
+        plane = self.robot.fixed_pose(ground)
         n = plane.rotation[:, 2]
         return Footing(n, float(n @ plane.translation), entry.radius or 0.0, entry.sole)
 
