@@ -498,3 +498,23 @@ class TestRun:
         finished = run(build(written(BOX, load, ("duration: 10", "duration: 0.7"))))
         assert finished.summary["metrics"]["carry.position.max_error"] > 1e-3
         assert finished.summary["metrics"]["left.motion.error"] > 0.01
+
+    def test_hands_together_are_a_closed_loop(self, tmp_path):
+        """A humanoid whose palms are joined, as by a handshake, pulls them apart with 10 N while it stands: the loop
+        carries what was asked for, and nobody moves."""
+        folder = shipped_folder("scenes")
+        joint = '<equality><connect site1="left_palm" site2="right_palm" solref="0.005 1"/></equality>'
+        text = (folder / "floor.xml").read_text().replace("</worldbody>", f"</worldbody>{joint}")
+        (tmp_path / "clasped.xml").write_text(text)
+        hands = "{frame: left_palm, with: right_palm, on: right_palm, holds: [vx, vy, vz], artificial: {wrench: {fx: 10, fz: 5}}}"  # noqa: E501
+        text = (shipped_folder("tasks") / "g1_stand.yaml").read_text().split("expect:")[0]
+        text = text.replace("scene: floor", "scene: clasped.xml").replace("duration: 10", "duration: 0.5")
+        text = text.replace("tasks:\n", f"  hands: {hands}\ntasks:\n  pull: {{type: force, contact: hands}}\n")
+        (tmp_path / "clasp.yaml").write_text(text + "expect: {settle: 0.4, hands.fx.max_error: 0.01}\n")
+        built = build(load_spec(tmp_path / "clasp.yaml"))
+        state = built.robot.state(built.q, np.zeros(35))
+        np.testing.assert_allclose(seen(state, "left_palm", "right_palm").p, 0.0, atol=1e-9)
+        finished = run(built)
+        assert finished.ok, finished.summary["checks"]
+        assert finished.summary["metrics"]["hands.motion.error"] < 1e-4
+        np.testing.assert_allclose(finished.log["hands.true"][-1], [0, 0, 0, 10, 0, 5], atol=0.01)
