@@ -4,7 +4,7 @@ Plain loops over small dense arrays; the theory is told where they are called. S
 """
 
 from .algebra import gauss, inverse, mobility, within
-from .contact import carried, rolling, select, settle, share, wanted
+from .contact import carried, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
 from .limit import braking_bounds, torque_window
 from .motion import computed_torque, frame, log, point_target, pose_errors, shift
@@ -22,6 +22,7 @@ __all__ = [
     "feedback",
     "frame",
     "gauss",
+    "height",
     "inverse",
     "log",
     "mobility",

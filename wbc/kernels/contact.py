@@ -44,6 +44,17 @@ def rolling(
     select(basis, table, out, bias)
 
 
+@compiled(F, m, v, v, F, F, F)
+def height(R: Array, p: Array, normal: Array, level: float, x: float, y: float) -> float:
+    """How far the lowest corner (+-x, +-y, 0) of a frame at (R, p) is above the plane normal . r = level."""
+    h, a, b = -level, 0.0, 0.0
+    for i in range(3):
+        h += normal[i] * p[i]
+        a += normal[i] * R[i, 0]
+        b += normal[i] * R[i, 1]
+    return h - abs(a) * x - abs(b) * y
+
+
 @compiled(NOTHING, v, v, F, F, V)
 def settle(Adot_V: Array, slip: Array, rate: float, most: float, rhs: Array) -> None:
     """rhs -= Adot V + c with c = rate A V, each at most `most`."""
@@ -82,10 +93,10 @@ def carried(push: Array, A: Array, radius: float, weight: Array, S: Array) -> No
             S[j, i] = S[i, j]
 
 
-@compiled(NOTHING, m, v, m, v, M, V)
-def share(push: Array, weight: Array, Y: Array, bias: Array, D: Array, lam: Array) -> None:
-    """D = diag(weight)^-1 P' Y, and lam -= D (bias + P lam)."""
-    k = weight.size
+@compiled(NOTHING, m, v, m, m, v, M, V, M)
+def share(push: Array, weight: Array, Y: Array, M_b: Array, bias: Array, D: Array, lam: Array, moved: Array) -> None:
+    """D = diag(weight)^-1 P' Y, lam -= D (bias + P lam), and moved = D M_b of the base's rows M_b (6, n)."""
+    k, n = moved.shape
     r = np.empty(6)
     for a in range(6):
         r[a] = bias[a]
@@ -93,9 +104,13 @@ def share(push: Array, weight: Array, Y: Array, bias: Array, D: Array, lam: Arra
         for a in range(6):
             r[a] += push[i, a] * lam[i]
     for i in range(k):
+        for j in range(n):
+            moved[i, j] = 0.0
         for a in range(6):
             s = 0.0
             for b in range(6):
                 s += push[i, b] * Y[b, a]
-            D[i, a] = s / weight[i]
-            lam[i] -= D[i, a] * r[a]
+            D[i, a] = d = s / weight[i]
+            lam[i] -= d * r[a]
+            for j in range(n):
+                moved[i, j] += d * M_b[a, j]
