@@ -207,8 +207,9 @@ def test_how_contacts_share_a_wrench(rng, layout):
     np.testing.assert_allclose(1.0 / weight, A**2 @ np.repeat([0.05**2, 1.0], 3), rtol=1e-13)
     np.testing.assert_allclose(S, (P / weight) @ P.T, rtol=1e-12, atol=1e-13)
     bias, start, D = rng.normal(size=6), rng.normal(size=9), np.empty((9, 6))
-    lam = start.copy()
-    kernels.share(*layout(push, weight, np.linalg.inv(S), bias), D, lam)
+    lam, M_b, moved = start.copy(), rng.normal(size=(6, 11)), np.empty((9, 11))
+    kernels.share(*layout(push, weight, np.linalg.inv(S), M_b, bias), D, lam, moved)
+    np.testing.assert_allclose(moved, D @ M_b, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(P @ D, np.eye(6), atol=1e-9)
     np.testing.assert_allclose(P @ lam, -bias, atol=1e-9)
     away = weight * (lam - start)  # in the rows of P: orthogonal to what moves nothing

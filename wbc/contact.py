@@ -154,9 +154,9 @@ class Contact(ABC):
         return self._hold(state, A, free, self.pseudo_inverse(A), np.concatenate((A, free)), self.Adot_V(state))
 
     def _hold(self, state: State, A: Array, free: Array, inverse: Array, basis: Array, Adot_V: Array | None) -> Held:
-        held = self._storage(state, len(basis))
-        kernels.select(basis, self.seen(state).table, held.table, held.bias)
-        return self._demand(state, held, A, free, inverse, Adot_V)
+        held, frame = self._storage(state, len(basis)), self.seen(state)
+        kernels.select(basis, frame.table, held.table, held.bias)
+        return self._demand(state, held, frame, A, free, inverse, Adot_V)
 
     def _storage(self, state: State, rows: int = 6) -> Held:
         """What was held at the last tick, to be filled again."""
@@ -165,13 +165,14 @@ class Contact(ABC):
             held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, rows)
         return held
 
-    def _demand(self, state: State, held: Held, A: Array, free: Array, inverse: Array, Adot_V: Array | None) -> Held:
+    def _demand(
+        self, state: State, held: Held, frame: Frame, A: Array, free: Array, inverse: Array, Adot_V: Array | None
+    ) -> Held:
         """The rest of what is held, once its rows are selected."""
-        held.seen = self.seen(state)
-        if self.footing is not None:
-            held.lifted = self.footing.lifted(held.seen)
-        if held.lifted:
-            held.rhs -= self.footing.asked(A, held.seen)  # type: ignore[union-attr]
+        footing, held.seen = self.footing, frame
+        held.lifted = footing is not None and footing.lifted(frame)
+        if footing is not None and held.lifted:
+            held.rhs -= footing.asked(A, frame)
             if Adot_V is not None:
                 held.rhs -= Adot_V
         elif self.settling is not None:

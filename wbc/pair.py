@@ -6,9 +6,8 @@ import numpy as np
 import pinocchio as pin
 
 from .axes import VELOCITY_AXES
+from .kernels import relative
 from .robot import Frame, Robot, State
-
-_ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))
 
 
 class RelativeFrame(Frame):
@@ -28,14 +27,8 @@ class RelativeFrame(Frame):
     def update(self) -> None:
         """From both frames as they are now."""
         frame, to = self._ends
-        T = to.T.actInv(frame.T)
-        self._T, self.R[:], self.p[:] = None, T.rotation, T.translation
-        Ad = T.toActionMatrixInverse()[_ANGULAR_FIRST]
-        np.subtract(frame.table, Ad.dot(to.table), out=self.table)
-        w, v = pin.skew(self.V[:3]), pin.skew(self.V[3:])
-        carried = Ad.dot(to.V)
-        self.drift[:3] += w.dot(carried[:3])
-        self.drift[3:] += w.dot(carried[3:]) + v.dot(carried[:3])
+        self._T = None
+        relative(frame.R, frame.p, frame.table, to.R, to.p, to.table, self.R, self.p, self.table)
 
 
 def seen(state: State, frame: str, to: str | None) -> Frame:
