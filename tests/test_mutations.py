@@ -206,7 +206,7 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
             yield f"{name}.cone", contact.hold(state).cone.rows
             yield f"{name}.push", (*pushes.d, pushes.least, pushes.mu, pushes.slip, pushes.modelled)
         yield f"{name}.settling", contact.settling or ()
-        yield f"{name}.frame", state.frame(contact.frame).T.homogeneous
+        yield f"{name}.frame", (state.frame(contact.frame).T.homogeneous, contact.seen(state).T.homogeneous)
     for name, task in phase.tasks.items():
         yield f"{name}.weight", phase.weights[name]
         for gain in ("Kp", "Ki", "Kd", "K_damp", "M", "B", "K", "split", "source", "printed", "gravity_only"):
@@ -226,6 +226,7 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
                 yield f"{name}({t})", task.path(t).T.homogeneous
         if hasattr(task, "shares"):
             yield f"{name}.shares", sorted(task.shares.items())
+            yield f"{name}.press", sorted(task.press.items())
         if hasattr(task, "q"):
             yield f"{name}.q", task.q
 

@@ -59,7 +59,7 @@ def record(
             row[f"{name}.away"] = task.desired(state)[0] - simulator.true_com()
         if isinstance(task, DistributionTask) and task.press:
             lam = {contact: log[f"{contact}.lam"][-1] for contact in state.contacts}
-            row[f"{name}.lacking"] = np.subtract(*task.internal(state, lam))
+            row[f"{name}.lacking"] = np.atleast_1d(np.subtract(*task.internal(state, lam)))
     for name, contact in contacts.items():
         speeds = simulator.true_slip(contact.frame)
         past = log[f"{name}.way"][-2] if f"{name}.way" in log and log.size > 1 else np.zeros(speeds.shape)
@@ -113,9 +113,9 @@ def figures(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
         if not isinstance(task, ComTask) and not (isinstance(task, DistributionTask) and task.press):
             continue
         late = log.late(np.array([name in each.tasks for each in phases])[phase], settle)
-        away = log[f"{name}.{what}"][late].reshape(late.sum(), -1) if f"{name}.{what}" in log else np.zeros((0, 1))
-        out[f"{name}.{quantity}.rms_error"] = float(np.sqrt((away**2).sum(axis=1).mean())) if away.size else math.nan
-        out[f"{name}.{quantity}.max_error"] = _largest(np.linalg.norm(away, axis=1))
+        away = np.linalg.norm(log[f"{name}.{what}"][late], axis=1) if f"{name}.{what}" in log else np.zeros(0)
+        out[f"{name}.{quantity}.rms_error"] = float(np.sqrt(np.mean(away**2))) if away.size else math.nan
+        out[f"{name}.{quantity}.max_error"] = _largest(away)
     for name in {name for each in phases for name in each.contacts if f"{name}.way" in log}:
         active = np.array([name in each.contacts for each in phases])[phase]
         late = log.late(active, settle)
