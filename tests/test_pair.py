@@ -404,8 +404,8 @@ class TestSpec:
 
     def test_the_start_is_closed_onto_the_body(self, written):
         """Palms that begin 2 cm off come onto the faces, wherever the box is."""
-        bent = "scene: floor\nstart: {left_joint2: -0.08, right_joint4: -2.3}\n"
-        built = build(written(BOX, ("scene: floor\n", bent)))
+        bent = "robot: panda_dual\nstart: {left_joint2: -0.08, right_joint4: -2.3}\n"
+        built = build(written(BOX, ("robot: panda_dual\n", bent)))
         state = built.robot.state(built.q, np.zeros(20))
         for side in ("left", "right"):
             T = seen(state, f"{side}_palm", f"{side}_face").T
@@ -435,7 +435,7 @@ FAULTS = {
     "no such frame": (LEFT, "with: bxo, ", "no frame named 'bxo'; did you mean 'box'"),
     "itself": (LEFT, "with: left_palm, ", "'left_palm' is the frame itself; expected one of another body"),
     "the same link": (LEFT, "with: left_link7, ", "on one link; expected a frame that moves against it"),
-    "the world": (LEFT, "with: floor, ", "'floor' is fixed to the world; expected a frame that moves, or `on: floor`"),
+    "the world": (LEFT, "with: left_link0, ", "'left_link0' is fixed to the world; expected a frame that moves, or"),
     "another body's place": (LEFT, "with: box, on: right_palm, ", "'right_palm' is not on the link of 'box'; expected"),
     "the ground": (LEFT, "with: box, ground: floor, ", "a body holds it, not the ground; expected either"),
     "a moving place": (LEFT, "on: left_face, ", "frame 'left_face' moves with joint 'box'; expected one fixed"),
