@@ -233,7 +233,7 @@ def test_position_servos_become_motors(tmp_path):
     ("files", "message"),
     [
         (("pandas",), "no robot named 'pandas'; did you mean 'panda'"),
-        (("zzzzzz",), "no robot named 'zzzzzz'; expected one of g1, go2, panda, planar3r, ur5e"),
+        (("zzzzzz",), "no robot named 'zzzzzz'; expected one of g1, go2, panda, panda_dual, planar3r, ur5e"),
         (("panda", "erasor"), "no tool named 'erasor'; did you mean 'eraser'"),
         (("panda", None, "bored"), "no scene named 'bored'; did you mean 'board'"),
         (("nowhere/arm.xml",), "no file 'nowhere/arm.xml'; expected a path, or one of g1"),
