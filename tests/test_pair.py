@@ -13,7 +13,7 @@ from wbc.centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPos
 from wbc.check import check
 from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
 from wbc.controller import Controller, Memory, Status
-from wbc.errors import SpecError
+from wbc.errors import ModelError, SpecError
 from wbc.foot import RoundFoot
 from wbc.friction import unilateral
 from wbc.oracle import Dynamics, closed_form, relative
@@ -130,6 +130,13 @@ class TestRobot:
         crate = int(mj.body("box").geomadr[0])
         assert all(mj.geom_contype[pad] & mj.geom_conaffinity[crate] for pad in pads)
 
+    def test_a_free_body_that_is_not_the_first_is_told(self, tmp_path):
+        text = (shipped_folder("scenes/robots") / "panda.xml").read_text().split("<keyframe>")[0]
+        loose = '<body name="ball" pos="1 0 0"><freejoint name="ball"/><geom type="sphere" size="0.1" mass="1"/></body>'
+        (tmp_path / "arm.xml").write_text(text.replace("</worldbody>", f"{loose}</worldbody>") + "</mujoco>")
+        with pytest.raises(ModelError, match=r"joint 'ball' leaves a body free .* expected one free body, which comes"):
+            Robot.load(str(tmp_path / "arm.xml"))
+
     @pytest.mark.parametrize("what", ["com", "momentum"])
     def test_what_stands_on_the_world_is_no_part_of_the_base(self, dual, what):
         """The centre of mass of all that moves, by finite differences: the box's own equations do not tell it."""
@@ -175,6 +182,18 @@ def test_a_wrong_drift_is_seen(dual):
 
     with pytest.raises(AssertionError, match="rhs of hold"):
         check_contact(against(Wrong("left_palm", VELOCITY_AXES), "box"), dual, states=3)
+
+
+def test_motion_along_what_a_contact_leaves_free_is_that_against_the_body(dual):
+    """A palm that slides on the box: its reference is told in the axes of the box, whatever the box does."""
+    slides = against(AxesContact("left_palm", ("wx", "wy", "wz", "vz")), "box")
+    path = Path(TILTED, {3: sine(0.1, 2), 4: sine(0.05, 1)})
+    task = MotionTask("left_palm", path, 100.0, 20.0, slides.free_axes, "left")
+    check_task(task, dual, {"left": slides}, states=4)
+    state = dual.state(dual.keyframes["home"], np.zeros(20), t=0.3)
+    state.contacts["left"] = slides.hold(state)
+    here = seen(state, "left_palm", "box").T
+    np.testing.assert_allclose(task.along(state), pin.log6(here.actInv(path(0.3).T)).linear[:2], atol=1e-12)
 
 
 def test_the_wrench_acts_on_both_bodies(dual, rng):
@@ -423,6 +442,15 @@ class TestSpec:
         np.testing.assert_allclose(contact._origin.homogeneous, here.homogeneous, atol=1e-12)
         np.testing.assert_allclose(contact.A(state) @ np.eye(6)[0], 0.0, atol=1e-12)
 
+    def test_the_distance_of_a_palm_is_that_from_the_face(self, written):
+        ways = "phases:\n  hold: {until: {left.distance: {min: 0.001}}}\n  stay: {}\nexpect:"
+        built = build(written(BOX, ("expect:", ways)))
+        (condition,) = built.phases[0].exit.until
+        q = built.q.copy()
+        for away in (0.0, 0.002):
+            q[0] = built.q[0] + away  # the box, off the left palm
+            assert condition.read(built.robot.state(q, np.zeros(20))) == pytest.approx(away, abs=1e-9)
+
     def test_the_schema_says_with(self):
         import json
 
@@ -439,6 +467,10 @@ FAULTS = {
     "another body's place": (LEFT, "with: box, on: right_palm, ", "'right_palm' is not on the link of 'box'; expected"),
     "the ground": (LEFT, "with: box, ground: floor, ", "a body holds it, not the ground; expected either"),
     "a moving place": (LEFT, "on: left_face, ", "frame 'left_face' moves with joint 'box'; expected one fixed"),
+    "an impedance": (
+        "  posture:", "  soft: {type: impedance, contact: left, M: 0, B: 10, K: 100}\n  posture:",
+        "contact 'left' is with another body, .* expected a motion task, or a contact with the world",
+    ),
     "press of none": ("left: 35", "leftt: 35", "no contact named 'leftt'; did you mean 'left'"),
     "press of what holds": (
         "holds: all, pushes: -z, friction: 0.6, sole: [0.08, 0.08]}   # [m]", "holds: all}",
@@ -485,7 +517,7 @@ class TestCarried:
 class TestRun:
     def test_the_internal_force_follows_what_is_asked(self, written):
         softer = ("{left: 35, right: 35}", "{left: 30, right: 30}")
-        finished = run(build(written(BOX, softer, ("duration: 10", "duration: 0.7"))))
+        finished = run(build(written(BOX, softer, ("duration: 10", "duration: 0.6"))))
         log, figures = finished.log, finished.summary["metrics"]
         assert figures["squeeze.internal.max_error"] <= 0.02
         push = [-log[f"{name}.true"][-1, 5] for name in PALMS]
@@ -495,7 +527,7 @@ class TestRun:
     def test_a_heavier_box_shows(self, written):
         """What only the plant knows: the box sinks, and the palms carry more than was predicted."""
         load = ("expect:", "plant: {payload: 0.2, payload_at: box}\nexpect:")
-        finished = run(build(written(BOX, load, ("duration: 10", "duration: 0.7"))))
+        finished = run(build(written(BOX, load, ("duration: 10", "duration: 0.6"))))
         assert finished.summary["metrics"]["carry.position.max_error"] > 1e-3
         assert finished.summary["metrics"]["left.motion.error"] > 0.01
 

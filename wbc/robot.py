@@ -385,7 +385,11 @@ class Robot:
 
 
 def _floating(model: pin.Model) -> int:
-    """How many velocities no motor drives: the six of a floating base, which is the first joint."""
+    """How many velocities no motor drives: the six of a floating base, which is the first joint. Raises ModelError."""
+    free = [model.names[i] for i in range(2, model.njoints) if model.joints[i].nv == 6]
+    if free:
+        message = f"joint {free[0]!r} leaves a body free that is not the first one of the robot"
+        raise ModelError(f"{message}; expected one free body, which comes first: a walker's trunk, or what arms carry")
     return 6 if model.njoints > 1 and model.joints[1].nv == 6 else 0
 
 

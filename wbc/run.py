@@ -121,7 +121,7 @@ def _loop(
         for name, contact in contacts.items():
             touching = bool(true[name].F.any())
             if touching and not touched[name] and name not in controller.phase.contacts:
-                row[f"{name}.predicted_peak"] = _predicted_peak(simulator, controller.state, contact.frame)
+                row[f"{name}.predicted_peak"] = _predicted_peak(simulator, controller.state, contact)
             touched[name] = touching
         log.append(out.active, **row)
         _record_pushes(log, controller, simulator)
@@ -136,13 +136,12 @@ def _loop(
             progress(tick + 1)
 
 
-def _predicted_peak(simulator: Simulator, state: State, frame: str) -> float:
+def _predicted_peak(simulator: Simulator, state: State, contact: Contact) -> float:
     """The closed form of the impact that begins at this tick [N]; not a number unless it is one point that touches."""
-    impact = simulator.impact(frame)
+    impact = simulator.impact(contact.frame)
     if impact is None:
         return math.nan
-    at = state.frame(frame)
-    row = at.T.rotation.T @ impact.normal @ at.J[3:]
+    row = state.frame(contact.frame).R.T @ impact.normal @ contact.seen(state).J[3:]
     mass = 1.0 / float(row @ state.solve_M(row[:, None])[:, 0])  # [kg]
     share = 1.0 / (1.0 / mass + impact.regularisation)
     speed = max(float(row @ state.v), 0.0)

@@ -156,6 +156,9 @@ def _of_task(
         if not (contact.wrench_targets if task.type == "force" else contact.motion_targets):
             kind = "force" if task.type == "force" else "motion"
             yield "contact", f"contact {task.contact!r} has no {kind} target in its `artificial`; expected one"
+        if contact.with_ is not None and isinstance(task, ImpedanceTask | AdmittanceTask):
+            message = f"contact {task.contact!r} is with another body, and what is felt there is told of the world"
+            yield "contact", f"{message}; expected a motion task, or a contact with the world"
     elif not isinstance(task, ForceTask) and task.contact is None and task.axes != "all":
         axes = task.axes
     for key in _GAINS[type(task)]:
