@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from bars import TAU_ERROR
 from test_floating import FREE, first_tick, unconstrained
 
 from wbc.build import build
@@ -26,6 +27,7 @@ from wbc.spec import load as load_spec
 from wbc.surface import Sole
 from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
 from wbc.testing import check_contact, check_task
+from wbc.verify import verify
 from wbc.wrench import VELOCITY_AXES, Wrench
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -348,6 +350,31 @@ class TestFixedBase:
             assert relative(out.tau, tau) <= 1e-9
             assert relative(out.vdot, vdot) <= 1e-8
             assert relative(out.wrenches["board"], contact.hold(state).B.T @ lam["board"]) <= 1e-8
+
+    @pytest.mark.parametrize("solver", ["daqp", "proxqp"])
+    def test_verify_holds_for_a_spec(self, tmp_path, solver):
+        """Both laws, and once more with M, h and the relative J and drift from MuJoCo alone."""
+        (tmp_path / "links.yaml").write_text(LINKS)
+        found = verify(load_spec(tmp_path / "links.yaml"), solver, states=20)
+        assert found.ok, found
+        assert found.states >= 14
+        assert set(found.laws) == {"compensated", "book"}
+        assert 0.0 < found.max_tau_error_mujoco <= 10 * TAU_ERROR[solver]
+
+
+LINKS = """
+title: Links of one arm held against one another
+robot: panda
+rate: 1000
+duration: 0.01
+contacts:
+  strut: {frame: flange, with: link1, holds: [wx, wy, vz], artificial: {vx: 0.01, wrench: {mx: 0, my: 0, fz: -5}}}
+tasks:
+  press:   {type: force,  contact: strut, kp: 0.3, ki: 10, damping: [5, 5, 500], filter: 50}
+  draw:    {type: motion, contact: strut, kp: 100, kd: 20}
+  posture: {type: posture, target: start, kp: 50, kd: 10}
+limits: {torque: model, torque_rate: 1000, position: model, velocity: model}
+"""
 
 
 # --- the internal force ---
