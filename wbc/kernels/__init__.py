@@ -8,6 +8,7 @@ from .contact import carried, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
 from .limit import braking_bounds, torque_window
 from .motion import computed_torque, frame, log, point_target, pose_errors, relative, shift
+from .null_space import least_squares, root
 from .program import active, add_rows, add_square, equations, residuals, torque, total
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "gauss",
     "height",
     "inverse",
+    "least_squares",
     "log",
     "mobility",
     "point_target",
@@ -31,6 +33,7 @@ __all__ = [
     "relative",
     "residuals",
     "rolling",
+    "root",
     "select",
     "sense",
     "settle",
