@@ -493,7 +493,7 @@ FAULTS = {
     "the world": (LEFT, "with: left_link0, ", "'left_link0' is fixed to the world; expected a frame that moves, or"),
     "another body's place": (LEFT, "with: box, on: right_palm, ", "'right_palm' is not on the link of 'box'; expected"),
     "the ground": (LEFT, "with: box, ground: floor, ", "a body holds it, not the ground; expected either"),
-    "a moving place": (LEFT, "on: left_face, ", "frame 'left_face' moves with joint 'box'; expected one fixed"),
+    "a moving place": (LEFT, "on: left_face, ", "frame 'left_face' moves with joint 'box_joint'; expected one fixed"),
     "an impedance": (
         "  posture:", "  soft: {type: impedance, contact: left, M: 0, B: 10, K: 100}\n  posture:",
         "contact 'left' is with another body, .* expected a motion task, or a contact with the world",

@@ -44,6 +44,7 @@ REST = 1e-5  # [rad/s, m/s] largest velocity at rest
 RECOVERED = 0.02  # [rad/s, m/s] the same after a push
 COUNTED = 0.01  # of m g: with more the controller counts on a contact
 _ERRORS = ("rms_error", "max_error")
+_LOGGED = {"position": "away", "internal": "lacking"}
 
 
 def record(
@@ -81,16 +82,20 @@ def record(
     log.put(**row)
 
 
+def _followed(task: Any) -> str:
+    """What a task is to follow that is measured here: the centre of mass, or an internal force."""
+    if isinstance(task, ComTask):
+        return "position"
+    return "internal" if isinstance(task, DistributionTask) and task.press else ""
+
+
 def names(phases: Sequence[Any], plant: Any = None) -> list[str]:
     """Every figure of a run of these phases, under what the plant does to them."""
     pushed, landings = plant is not None and bool(plant.pushes), [f"{name}.landing" for name in _landings(phases)]
     found = ["weight.rest.error", "base.tilt.max", "base.drop", *(["recovery"] if pushed else []), *landings]
     for phase in phases:
         for name, task in phase.tasks.items():
-            if isinstance(task, ComTask):
-                found += [f"{name}.position.{figure}" for figure in _ERRORS]
-            if isinstance(task, DistributionTask) and task.press:
-                found += [f"{name}.internal.{figure}" for figure in _ERRORS]
+            found += [f"{name}.{_followed(task)}.{figure}" for figure in _ERRORS if _followed(task)]
         for name, contact in phase.contacts.items():
             found += [f"{name}.{figure}" for figure in ("slip", "rest.error", "motion.error", "unnoticed")]
             found += [f"{name}.back"] if pushed else []
@@ -107,13 +112,11 @@ def figures(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
     all_late = log.late(np.ones(log.size, bool), settle)
     if "weight.error" in log:
         out["weight.rest.error"] = _largest(log["weight.error"][resting & all_late])
-    tasks = {name: task for each in phases for name, task in each.tasks.items()}
-    for name, task in tasks.items():
-        what, quantity = ("away", "position") if isinstance(task, ComTask) else ("lacking", "internal")
-        if not isinstance(task, ComTask) and not (isinstance(task, DistributionTask) and task.press):
-            continue
-        late = log.late(np.array([name in each.tasks for each in phases])[phase], settle)
-        away = np.linalg.norm(log[f"{name}.{what}"][late], axis=1) if f"{name}.{what}" in log else np.zeros(0)
+    followed = {(name, _followed(task)) for each in phases for name, task in each.tasks.items()}
+    for name, quantity in [each for each in followed if each[1]]:
+        active = [name in each.tasks and _followed(each.tasks[name]) == quantity for each in phases]
+        late, logged = log.late(np.array(active)[phase], settle), f"{name}.{_LOGGED[quantity]}"
+        away = np.linalg.norm(log[logged][late], axis=1) if logged in log else np.zeros(0)
         out[f"{name}.{quantity}.rms_error"] = float(np.sqrt(np.mean(away**2))) if away.size else math.nan
         out[f"{name}.{quantity}.max_error"] = _largest(away)
     for name in {name for each in phases for name in each.contacts if f"{name}.way" in log}:
