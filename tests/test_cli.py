@@ -353,7 +353,7 @@ WRONG: dict[str, tuple[str | list[tuple[str, str]], str, str]] = {
     "robot file": (
         [("robot: panda", "robot: my/arm.xml")],
         "3:1: robot",
-        "no file 'my/arm.xml'; expected a path, or one of g1, go2, panda, planar3r, ur5e",
+        "no file 'my/arm.xml'; expected a path, or one of g1, go2, panda, panda_dual, planar3r, ur5e",
     ),
     "robot with a null byte": ([("robot: panda", r'robot: "a\0b"')], "3:8: robot", "control character"),
     "robot as a folder": ([("robot: panda", "robot: .")], "3:1: robot", "expected one of g1"),
@@ -362,7 +362,7 @@ WRONG: dict[str, tuple[str | list[tuple[str, str]], str, str]] = {
     "tool as a robot": (
         [("robot: panda", "robot: eraser")],
         "3:1: robot",
-        "no robot named 'eraser'; expected one of g1, go2, panda, planar3r, ur5e",
+        "no robot named 'eraser'; expected one of g1, go2, panda, panda_dual, planar3r, ur5e",
     ),
     "scene": ([("scene: board", "scene: bord")], "5:1: scene", "no scene named 'bord'; did you mean 'board'?"),
     "scene left out": ([("scene: board\n", "")], "8:24: references.figure.lissajous.in", "(the spec names no scene)"),
