@@ -22,7 +22,7 @@ import pinocchio as pin
 import wbc.controller
 import wbc.phase
 import wbc.solver
-from wbc.build import Built, build
+from wbc.build import build
 from wbc.controller import Controller
 from wbc.phase import Program
 from wbc.run import run
@@ -65,11 +65,13 @@ class Clock:
         self.now = {}
 
 
-def replay(built: Built, ticks: list[tuple[Any, ...]], after: Callable[[], None] = lambda: None) -> tuple[Any, Any]:
+def replay(
+    controller: Controller, ticks: list[tuple[Any, ...]], after: Callable[[], None] = lambda: None
+) -> tuple[Any, Any]:
     """Microseconds of every tick and of the floor."""
-    controller, model = built.controller, built.robot.model
+    model = controller.robot.model
     data, took, floor = model.createData(), [], []
-    controller.reset(built.q, np.zeros(built.robot.nv))
+    controller.reset(controller.start, np.zeros(model.nv))
     for t, q, v, measured in ticks:
         begin = time.perf_counter()
         controller.step(t, q, v, measured=measured)
@@ -79,6 +81,32 @@ def replay(built: Built, ticks: list[tuple[Any, ...]], after: Callable[[], None]
         took.append(between - begin)
         after()
     return np.array(took) * 1e6, np.array(floor) * 1e6
+
+
+def stages(controller: Controller, ticks: list[tuple[Any, ...]]) -> dict[str, Any]:
+    """Microseconds of every tick (t, q, v, measured), of its stages and of the floor, by name."""
+    gc.collect()
+    gc.freeze()
+    whole, floor = replay(controller, ticks)
+    clock = Clock()
+    places = [(stage, owner, attribute) for stage, found in STAGES.items() for owner, attribute in found]
+    originals = [getattr(owner, attribute) for _, owner, attribute in places]
+    try:
+        for (stage, owner, attribute), original in zip(places, originals, strict=True):
+            setattr(owner, attribute, clock.wrap(stage, original))
+        replay(controller, ticks, clock.end_tick)
+    finally:
+        for (_, owner, attribute), original in zip(places, originals, strict=True):
+            setattr(owner, attribute, original)
+    us = {stage: np.array([t.get(stage, 0.0) for t in clock.ticks]) * 1e6 for stage in STAGES}
+    for outer, inner in INSIDE.items():
+        us[outer] = us[outer] - us[inner]
+    return us | {"whole tick": whole, "floor: Pinocchio": floor}
+
+
+def told(us: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Median and p99 [us] of each."""
+    return {name: {"p50": float(np.median(x)), "p99": float(np.percentile(x, 99))} for name, x in us.items()}
 
 
 def split(name: str, overrides: list[str], count: int) -> dict[str, dict[str, float]]:
@@ -93,24 +121,9 @@ def split(name: str, overrides: list[str], count: int) -> dict[str, dict[str, fl
         ticks.append((seen.t, seen.q, seen.v, given))
 
     loop = run(built, hook=record).log["step_us"]
-    gc.collect()
-    gc.freeze()
-    whole, floor = replay(built, ticks)
-    clock = Clock()
-    places = [(stage, owner, attribute) for stage, found in STAGES.items() for owner, attribute in found]
-    originals = [getattr(owner, attribute) for _, owner, attribute in places]
-    try:
-        for (stage, owner, attribute), original in zip(places, originals, strict=True):
-            setattr(owner, attribute, clock.wrap(stage, original))
-        replay(built, ticks, clock.end_tick)
-    finally:
-        for (_, owner, attribute), original in zip(places, originals, strict=True):
-            setattr(owner, attribute, original)
-    stages = {stage: np.array([t.get(stage, 0.0) for t in clock.ticks]) * 1e6 for stage in STAGES}
-    for outer, inner in INSIDE.items():
-        stages[outer] = stages[outer] - stages[inner]
-    stages |= {"whole tick": whole, "in the loop": loop, "floor: Pinocchio": floor}
-    return {stage: {"p50": float(np.median(us)), "p99": float(np.percentile(us, 99))} for stage, us in stages.items()}
+    us = stages(controller, ticks)
+    floor = us.pop("floor: Pinocchio")
+    return told(us | {"in the loop": loop, "floor: Pinocchio": floor})
 
 
 def main() -> None:
