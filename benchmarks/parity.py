@@ -1,11 +1,13 @@
 """The same problem given to PlaCo, to TSID and to this package: torques and tick times, in one run.
 
-    python benchmarks/parity.py [--peers placo,tsid] [--problems NAME,...] [--ticks N] [--environments FOLDER] [--json]
+    python benchmarks/parity.py [--peers placo,tsid] [--problems NAME;...] [--ticks N] [--clock wall|cpu]
+                                [--environments FOLDER] [--json]
 
 Every library runs in an interpreter of its own: peers pin other versions of Pinocchio, so that each gets an environment
 in FOLDER (default: wbc-peers in the user's cache), made at the first run with the commands in `peers/environments.py`.
 A tick is given to all in turn, the first one changing from tick to tick, so that all see the same machine; each times
-itself, from q and v to the torque. `peers/problems.py` says what is asked for, `peers/by_*.py` how each states it.
+itself, from q and v to the torque; of a busy machine `--clock cpu` tells the time on the processor alone.
+`peers/problems.py` says what is asked for, `peers/by_*.py` how each states it.
 
 tau is the largest difference of a joint torque from the peer's, where this package states the peer's own problem with
 the same regulariser, relative to 1 + |tau|max. In problems called unique no regulariser decides anything.
@@ -23,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from peers import environments
+from peers.loop import CLOCKS
 from peers.problems import load, problems, states
 
 import wbc
@@ -68,7 +71,7 @@ def entries(peers: list[str]) -> dict[str, tuple[str, str]]:
 
 
 def compete(
-    problem: dict[str, Any], ticks: int, runs: dict[str, Contestant], table: dict[str, tuple[str, str]]
+    problem: dict[str, Any], ticks: int, runs: dict[str, Contestant], table: dict[str, tuple[str, str]], clock: str
 ) -> dict[str, dict[str, Any]]:
     """Torques (ticks, nu), microseconds and whether each tick was solved, by name."""
     answers: dict[str, list[dict[str, Any]]] = {name: [] for name in table}
@@ -79,7 +82,7 @@ def compete(
         first = i % len(names)
         for name in names[first:] + names[:first]:
             where, form = table[name]
-            answer = runs[where].ask(q=q.tolist(), v=v.tolist(), **{"as": form})
+            answer = runs[where].ask(q=q.tolist(), v=v.tolist(), clock=clock, **{"as": form})
             if i >= warm:
                 answers[name].append(answer)
         if sys.stderr.isatty():
@@ -128,6 +131,7 @@ def main() -> int:
     parser.add_argument("--peers", default=",".join(PEERS))
     parser.add_argument("--problems", help="names, separated by ;")
     parser.add_argument("--ticks", type=int, default=1000)
+    parser.add_argument("--clock", choices=CLOCKS, default="wall")
     parser.add_argument("--environments", type=Path, default=environments.folder())
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
@@ -143,7 +147,7 @@ def main() -> int:
     runs |= {peer: Contestant(f"peers.by_{peer}", python) for peer, python in pythons.items()}
     result = {}
     for name, problem in asked.items():
-        result[name] = judge(compete(problem, args.ticks, runs, entries(peers)), peers)
+        result[name] = judge(compete(problem, args.ticks, runs, entries(peers), args.clock), peers)
         if not args.json:
             show(name, result[name])
     for run in runs.values():
