@@ -160,7 +160,6 @@ def solve(problem, form, q, v):
     for given in problem["tasks"].values():
         A, b = of.task(given)
         add(wide(A), b, given["weight"])
-    add(tau[base:], -of.h[base:], problem["torque"])
     equal.append((tau[:base], -of.h[:base]))
     most = np.array(problem["effort"])[of.joints]
     least += [(tau[base:], -most - of.h[base:]), (-tau[base:], of.h[base:] - most)]

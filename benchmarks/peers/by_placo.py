@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ def build(problem: dict[str, Any], _: str) -> Program:
     for name, most in zip(problem["joints"], problem["effort"], strict=True):
         robot.set_torque_limit(name, most)
     solver = placo.DynamicsSolver(robot)
-    solver.torque_cost = 0.0 if problem["unique"] else problem["torque"]
+    solver.torque_cost = 0.0
     solver.enable_torque_limits(not problem["unique"])
     solver.enable_joint_limits(False)
     solver.enable_velocity_limits(False)
@@ -85,4 +86,4 @@ def _configure(task: Any, name: str, hard: bool, weight: float, kp: float, kd: f
 
 
 if __name__ == "__main__":
-    serve(build, f"placo {getattr(placo, '__version__', '')}".strip())
+    serve(build, f"placo {metadata.version('placo')}")

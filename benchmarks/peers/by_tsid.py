@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -29,10 +30,6 @@ def build(problem: dict[str, Any], _: str) -> Program:
     kept = [_contact(inverse, robot, problem, name, given) for name, given in problem["contacts"].items()]
     kept += [_task(inverse, robot, own, name, given) for name, given in problem["tasks"].items()]
     if not problem["unique"]:
-        effort = tsid.TaskActuationEquality("least torque", robot)
-        effort.setReference(np.zeros(robot.na))
-        inverse.addActuationTask(effort, problem["torque"], 1, 0.0)
-        kept.append(effort)
         bounds = tsid.TaskActuationBounds("torque", robot)
         most = np.array(problem["effort"])[own]
         bounds.setBounds(-most, most)
@@ -84,7 +81,8 @@ def _task(inverse: Any, robot: Any, own: Array, name: str, given: dict[str, Any]
         made, size = tsid.TaskSE3Equality(name, robot, given["frame"]), 6
         if given["type"] == "orientation":
             made.setMask(np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]))
-        made.setReference(pin.SE3(np.array(given["R"]), np.array(given["p"])))
+        pose = pin.SE3(np.array(given["R"]), np.array(given["p"]))
+        made.setReference(tsid.TrajectorySE3Constant(name, pose).computeNext())
     made.setKp(np.full(size, given["kp"]))
     made.setKd(np.full(size, given["kd"]))
     inverse.addMotionTask(made, given["weight"], 0 if given["hard"] else 1, 0.0)
@@ -100,4 +98,4 @@ def _at(value: Array, size: int) -> Any:
 
 
 if __name__ == "__main__":
-    serve(build, f"tsid {tsid.__version__}")
+    serve(build, f"tsid {metadata.version('tsid')}")

@@ -71,13 +71,6 @@ class Still(wbc.PostureTask):
         return wbc.Rows("", {"vdot": None}, zero, zero)
 
 
-class Torque(wbc.TorqueTask):
-    """Torques in newton metres, not in powers."""
-
-    def rows(self, state: wbc.State) -> wbc.Rows:
-        return super().rows(state)._replace(metric=None)
-
-
 class Forces(wbc.DistributionTask):
     """Forces and moments drawn to zero; `metric` is over all multipliers, in the order of the contacts."""
 
@@ -195,7 +188,7 @@ def tasks(problem: dict[str, Any], robot: wbc.Robot, form: str) -> dict[str, Any
         return found
     if problem["unique"]:
         return found
-    found |= {"torque": (Torque(), problem["torque"]), "still": (Still(), REGULARISER)}
+    found["still"] = (Still(), REGULARISER)
     return found | ({"forces": (Forces(force_metric(problem, form)), 1.0)} if problem["contacts"] else {})
 
 

@@ -3,7 +3,8 @@
 Every task is a row block A vdot = b weighed by the identity, a cost w/2 |A vdot - b|^2; of a frame the *classical*
 acceleration of its origin is meant, its error is split (position, and logarithm of the rotation). Contacts are held by
 equalities without feedback; forces stay in pyramids of four faces along the axes, a sole's also within its rectangle;
-joint torques within their limits. Costs w/2 |f|^2 on forces, w/2 |m|^2 on moments and w/2 |tau|^2 on torques.
+joint torques within their limits. Costs w/2 |f|^2 on forces and w/2 |m|^2 on moments; none on torques, for TSID's
+binding has no way to state one, and PlaCo's can be switched off.
 """
 
 from __future__ import annotations
@@ -54,7 +55,6 @@ def _problem(robot: Robot, frames: tuple[str, ...], /, **more: Any) -> dict[str,
         "contacts": {},
         "forces": 0.0,
         "moments": 0.0,
-        "torque": 1e-5,
         "unique": False,
     } | more
 
