@@ -1,10 +1,11 @@
 """Time of one tick, split by stage, beside the floor of Pinocchio alone, in one run.
 
-    python benchmarks/tick.py [--spec NAME] [--ticks N] [--set KEY=VALUE] [--solver NAME] [--json]
+    python benchmarks/tick.py [--spec NAME] [--ticks N] [--set KEY=VALUE] [--solver NAME] [--clock wall|cpu] [--json]
 
 The ticks of a simulated run are recorded and given to `Controller.step` again, nothing else between them but the floor:
 `pinocchio.computeAllTerms` on the same state, timed in turn, so that both see the same machine. `in the loop` is the
 same tick with MuJoCo's step and the log between, which leaves the caches cold. Stages are timed in a pass of their own.
+Of a busy machine `--clock cpu` tells the time on the processor alone, without that of waiting for it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import pinocchio as pin
 import wbc.controller
 import wbc.phase
 import wbc.solver
-from wbc.build import Built, build
+from wbc.build import build
 from wbc.controller import Controller
 from wbc.phase import Program
 from wbc.run import run
@@ -41,22 +42,24 @@ STAGES: dict[str, tuple[tuple[Any, str], ...]] = {
     "decode": ((Controller, "_accept"),),
 }
 INSIDE = {"assembly": "rows", "solve": "certificate"}
+CLOCKS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.thread_time}
 
 
 class Clock:
     """Sums the time spent in wrapped functions, by stage, tick by tick."""
 
-    def __init__(self) -> None:
+    def __init__(self, read: Callable[[], float]) -> None:
+        self.read = read
         self.now: dict[str, float] = {}
         self.ticks: list[dict[str, float]] = []
 
     def wrap(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **kwargs: Any) -> Any:
-            begin = time.perf_counter()
+            begin = self.read()
             try:
                 return function(*args, **kwargs)
             finally:
-                self.now[stage] = self.now.get(stage, 0.0) + time.perf_counter() - begin
+                self.now[stage] = self.now.get(stage, 0.0) + self.read() - begin
 
         return timed
 
@@ -65,23 +68,51 @@ class Clock:
         self.now = {}
 
 
-def replay(built: Built, ticks: list[tuple[Any, ...]], after: Callable[[], None] = lambda: None) -> tuple[Any, Any]:
+def replay(
+    controller: Controller, ticks: list[tuple[Any, ...]], read: Callable[[], float], after: Callable[[], None]
+) -> tuple[Any, Any]:
     """Microseconds of every tick and of the floor."""
-    controller, model = built.controller, built.robot.model
+    model = controller.robot.model
     data, took, floor = model.createData(), [], []
-    controller.reset(built.q, np.zeros(built.robot.nv))
+    controller.reset(controller.start, np.zeros(model.nv))
     for t, q, v, measured in ticks:
-        begin = time.perf_counter()
+        begin = read()
         controller.step(t, q, v, measured=measured)
-        between = time.perf_counter()
+        between = read()
         pin.computeAllTerms(model, data, q, v)
-        floor.append(time.perf_counter() - between)
+        floor.append(read() - between)
         took.append(between - begin)
         after()
     return np.array(took) * 1e6, np.array(floor) * 1e6
 
 
-def split(name: str, overrides: list[str], count: int) -> dict[str, dict[str, float]]:
+def stages(
+    controller: Controller, ticks: list[tuple[Any, ...]], read: Callable[[], float] = time.perf_counter
+) -> dict[str, Any]:
+    """Microseconds of every tick (t, q, v, measured), of its stages and of the floor, by name."""
+    whole, floor = replay(controller, ticks, read, lambda: None)
+    clock = Clock(read)
+    places = [(stage, owner, attribute) for stage, found in STAGES.items() for owner, attribute in found]
+    originals = [getattr(owner, attribute) for _, owner, attribute in places]
+    try:
+        for (stage, owner, attribute), original in zip(places, originals, strict=True):
+            setattr(owner, attribute, clock.wrap(stage, original))
+        replay(controller, ticks, read, clock.end_tick)
+    finally:
+        for (_, owner, attribute), original in zip(places, originals, strict=True):
+            setattr(owner, attribute, original)
+    us = {stage: np.array([t.get(stage, 0.0) for t in clock.ticks]) * 1e6 for stage in STAGES}
+    for outer, inner in INSIDE.items():
+        us[outer] = us[outer] - us[inner]
+    return us | {"whole tick": whole, "floor: Pinocchio": floor}
+
+
+def told(us: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Median and p99 [us] of each."""
+    return {name: {"p50": float(np.median(x)), "p99": float(np.percentile(x, 99))} for name, x in us.items()}
+
+
+def split(name: str, overrides: list[str], count: int, clock: str = "wall") -> dict[str, dict[str, float]]:
     """Median and p99 [us] of the tick, of its stages and of the floor."""
     built, ticks = build(load(name, [*overrides, f"duration={count / 1000}"])), []
     controller = built.controller
@@ -95,22 +126,9 @@ def split(name: str, overrides: list[str], count: int) -> dict[str, dict[str, fl
     loop = run(built, hook=record).log["step_us"]
     gc.collect()
     gc.freeze()
-    whole, floor = replay(built, ticks)
-    clock = Clock()
-    places = [(stage, owner, attribute) for stage, found in STAGES.items() for owner, attribute in found]
-    originals = [getattr(owner, attribute) for _, owner, attribute in places]
-    try:
-        for (stage, owner, attribute), original in zip(places, originals, strict=True):
-            setattr(owner, attribute, clock.wrap(stage, original))
-        replay(built, ticks, clock.end_tick)
-    finally:
-        for (_, owner, attribute), original in zip(places, originals, strict=True):
-            setattr(owner, attribute, original)
-    stages = {stage: np.array([t.get(stage, 0.0) for t in clock.ticks]) * 1e6 for stage in STAGES}
-    for outer, inner in INSIDE.items():
-        stages[outer] = stages[outer] - stages[inner]
-    stages |= {"whole tick": whole, "in the loop": loop, "floor: Pinocchio": floor}
-    return {stage: {"p50": float(np.median(us)), "p99": float(np.percentile(us, 99))} for stage, us in stages.items()}
+    us = stages(controller, ticks, CLOCKS[clock])
+    floor = us.pop("floor: Pinocchio")
+    return told(us | {"in the loop": loop, "floor: Pinocchio": floor})
 
 
 def main() -> None:
@@ -119,9 +137,11 @@ def main() -> None:
     parser.add_argument("--ticks", type=int, default=4000)
     parser.add_argument("--set", action="append", default=[])
     parser.add_argument("--solver")
+    parser.add_argument("--clock", choices=CLOCKS, default="wall")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    result = split(args.spec, args.set + ([f"solver={args.solver}"] if args.solver else []), args.ticks)
+    overrides = args.set + ([f"solver={args.solver}"] if args.solver else [])
+    result = split(args.spec, overrides, args.ticks, args.clock)
     if args.json:
         print(json.dumps(result))
         return

@@ -159,6 +159,8 @@ TERMINAL_SPEED = 0.01
 
 # of this kind of machine; measured by benchmarks/tick.py, never asserted in a timed test
 TICK_MEDIAN_US = 150.0
+# torque of a peer's own problem against the peer, relative to 1 + |tau|max; measured by benchmarks/parity.py
+PARITY = 1e-6
 HELP_SECONDS = 0.5
 
 # eraser_friction: corners in contact; with mu 20 % wrong in the model; without any compensation it must miss
