@@ -15,6 +15,7 @@
     CONTACT.friction.angle                         where it slides, above 0.01 m/s: largest angle between the friction
                                                    on the robot and minus its velocity [deg]
     CONTACT.friction.mu_error                      there: largest error of |f_t|/f_n, relative to the surface's mu [1]
+    CONTACT.friction.share                         at any speed: mean of |f_t|/f_n, over the surface's mu [1]
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
     TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
@@ -207,7 +208,7 @@ def _of_push(contact: Contact) -> tuple[str, ...]:
     tilt = () if pushes.place is None else ("tilt",)
     if not pushes.mu:
         return tilt
-    sliding = () if len(pushes.held) else ("friction.angle", "friction.mu_error")
+    sliding = () if len(pushes.held) else ("friction.angle", "friction.mu_error", "friction.share")
     return (*tilt, *(("creep",) if len(pushes.slides) == 0 else sliding))
 
 
@@ -224,8 +225,11 @@ def _push(log: Log, name: str, contact: Contact, late: NDArray[np.bool_]) -> dic
         if "creep" in wanted:
             out[f"{name}.creep"] = _largest(speed)
         else:
-            fast = (speed > SLIDING) & (push > 0.0)
-            slip, drag, push, mu = slip[fast], drag[fast], push[fast], log[f"{name}.mu"][touched][fast]
+            mu, pressed = log[f"{name}.mu"][touched], push > 0.0
+            used = np.linalg.norm(drag, axis=1)[pressed] / (mu * push)[pressed]
+            out[f"{name}.friction.share"] = float(used.mean()) if used.size else math.nan
+            fast = (speed > SLIDING) & pressed
+            slip, drag, push, mu = slip[fast], drag[fast], push[fast], mu[fast]
             turned = slip[:, 0] * drag[:, 1] - slip[:, 1] * drag[:, 0]
             angle = np.arctan2(np.abs(turned), (slip * drag).sum(axis=1))
             out[f"{name}.friction.angle"] = float(np.degrees(_largest(angle)))

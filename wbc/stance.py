@@ -36,6 +36,7 @@ from .task import MotionTask
 if TYPE_CHECKING:
     from .contact import Contact
     from .controller import Controller, Output
+    from .robot import State
     from .sim import Simulator
 
 REST = 1e-5  # [rad/s, m/s] largest velocity at rest
@@ -44,10 +45,10 @@ COUNTED = 0.01  # of m g: with more the controller counts on a contact
 
 
 def record(
-    log: Log, controller: Controller, simulator: Simulator, out: Output, contacts: Mapping[str, Contact]
+    log: Log, controller: Controller, state: State, simulator: Simulator, out: Output, contacts: Mapping[str, Contact]
 ) -> None:
-    """One tick."""
-    state, row = controller.state, dict[str, Any]()
+    """One tick, at its true state."""
+    row = dict[str, Any]()
     gravity = state.robot.model.gravity.linear
     weight = mass(state) * float(np.linalg.norm(gravity))
     carried, dt = np.zeros(3), controller.dt
