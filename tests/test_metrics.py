@@ -132,7 +132,9 @@ def test_an_impact_is_held_against_the_peak_that_follows_it():
     late = round(IMPACT / DT)
     force = lambda i: 0.0 if i < 80 else {85: -20.0, 80 + late + 1: -50.0}.get(i, -10.0)  # noqa: E731
     told = {"board.predicted_peak": lambda i: 18.0 if i == 80 else None}
-    assert metrics(made([range(100, 300)], force, **told), phases(), 0.0)["board.impact_error"] == pytest.approx(0.1)
+    found = metrics(made([range(100, 300)], force, **told), phases(), 0.0)
+    assert found["board.impact_error"] == pytest.approx(0.1)
+    assert found["board.impact"] == pytest.approx(20.0)
     assert "board.impact_error" not in metrics(made([range(100, 300)], force), phases(), 0.0)
 
 
