@@ -18,7 +18,7 @@ from wbc.spec import load
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 SHIPPED = shipped_names("tasks", ".yaml")
 # [s] of those that only stand for the rest of their 10 s, and of those that draw the same figure once more
-SHORT = {"go2_stand": 4, "g1_stand": 4, "g1_wipe": 3.5, "g1_wipe_noisy": 3.5}
+SHORT = {"go2_stand": 4, "g1_stand": 4, "g1_wipe": 3, "g1_wipe_noisy": 3}
 
 
 @lru_cache
@@ -156,7 +156,7 @@ class TestLiftoff:
 def test_a_hand_that_meets_the_board_early_does_not_hit_it_hard():
     """1.5 cm before the slow part of its way, at 0.06 m/s: `until` sees the force, nothing peaks."""
     sooner = "references.ahead.quintic.waypoints=[[0, 0, 0.025], [0, 0, -0.01], [0, 0, -0.035]]"
-    finished = result("g1_wipe", sooner, "duration=1.3")
+    finished = result("g1_wipe", sooner, "duration=1")
     assert [change["name"] for change in finished.log.meta["changes"]] == ["approach", "wipe"]
     assert finished.log.meta["changes"][1]["start"] < 0.8
     figures = finished.summary["metrics"]

@@ -228,20 +228,22 @@ class Simulator:
         (body, *_), rigid = carried(self.model, self.data, frame), self.robot.mujoco.body_weldid
         model, data = self.model, self.data
         touching = (model.geom_contype | model.geom_conaffinity) > 0
-        own = np.flatnonzero((rigid[model.geom_bodyid] == rigid[body]) & touching)
-        out, force = np.zeros((own.size, 3)), np.zeros(6)
+        geoms_of_body = np.flatnonzero((rigid[model.geom_bodyid] == rigid[body]) & touching).tolist()
+        own = {geom: row for row, geom in enumerate(geoms_of_body)}
+        out, force = np.zeros((len(own), 3)), np.zeros(6)
         for i in range(data.ncon):
             contact = data.contact[i]
-            inside = [geom in own for geom in contact.geom]
+            pair = contact.geom.tolist()
+            inside = [geom in own for geom in pair]
             if inside[0] == inside[1]:
                 continue
             mujoco.mj_contactForce(model, data, i, force)
             if force[0] <= 0.0:
                 continue
-            geoms = contact.geom if inside[0] else contact.geom[::-1]
+            geoms = pair if inside[0] else pair[::-1]
             v = self._velocity_at(geoms[0], contact.pos) - self._velocity_at(geoms[1], contact.pos)
             n = contact.frame[:3]
-            out[int(np.flatnonzero(own == geoms[0])[0])] = v - n * (n @ v)
+            out[own[geoms[0]]] = v - n * (n @ v)
         return out
 
     def _velocity_at(self, geom: int, place: Array) -> Array:
