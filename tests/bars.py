@@ -133,8 +133,27 @@ SPECS: dict[str, dict[str, float]] = {
         **{f"{palm}.cone.max_excess": 1e-6 for palm in ("left", "right")},
         "joint.max_excess": 0,
     },
+    **{
+        name: {  # 10 s, 15 N at mu = 0.4; the landing peak is stated in the README
+            "board.fz.rms_error": force,  # [N]
+            "draw.position.rms_error": distance,  # [m]
+            "board.peak": 20.0,  # [N]
+            "board.lost": 0,
+            "balance.position.rms_error": middle,
+            **{f"{foot}.slip": 2e-4 for foot in ("left_foot", "right_foot")},
+            **{f"{foot}.cone.max_excess": 1e-6 for foot in ("left_foot", "right_foot")},
+            "joint.max_excess": 0,
+        }
+        for name, force, distance, middle in (
+            ("g1_wipe", 0.2, 1e-3, 5e-4),
+            ("g1_wipe_noisy", 0.5, 2e-3, 5e-3),  # noise, 3 ms of delay, a mass 5 % wrong
+        )
+    },
     "planar": {"board.fz.rms_error": 0.005, "board.my.rms_error": 1e-3, "draw.position.rms_error": 8e-5},
 }
+
+# lower bounds: mean |f_t|/f_n as a share of mu, so that the board is honest
+AT_LEAST = {name: {"board.friction.share": 0.9} for name in ("g1_wipe", "g1_wipe_noisy")}
 
 # pushes of 0.1 s that are survived in eight directions: N s forwards and backwards, sideways; between them an ellipse
 PUSHES = {"go2_push": (16.0, 12.0), "g1_push": (8.0, 13.0)}

@@ -92,6 +92,21 @@ class TestDeclared:
         np.testing.assert_array_equal(model.pair_friction[:, :2], 0.3)
         assert Robot.load("panda", "eraser", "board").mujoco.npair == 0
 
+    def test_a_force_is_shared_by_the_points_of_one_body_alone(self) -> None:
+        """Soles may touch the board too, but do not help the hand to carry its 15 N."""
+        model = Robot.load("g1", "mitt", "whiteboard").mujoco
+        assert model.npair == 9
+        surface = material.of_model(model)["board"]
+        for pair in range(model.npair):
+            points = 1 if model.geom(model.pair_geom2[pair]).name == "mitt_tip" else 4
+            found = material.parameters(surface, material.invweight(model, pair), points)
+            assert model.pair_solreffriction[pair, 0] == found.solreffriction[0]
+
+    def test_what_slides_leaves_feet_what_the_scene_gives_them(self) -> None:
+        """Sliding asks for an impratio of 10 where the scene says less, and feet keep the floor's 100."""
+        assert Robot.load("panda", "eraser", "board").mujoco.opt.impratio == 1
+        assert Robot.load("g1", "mitt", "whiteboard").mujoco.opt.impratio == 100
+
 
 class TestSimulated:
     """MuJoCo's own contacts, without any arm."""
@@ -126,3 +141,6 @@ class TestSimulated:
         assert material.worst("ground", model, push, np.array([0.2, 0.24, 9.0]), points) == ""
         told = material.worst("ground", model, push, np.array([0.2, 0.3, 9.0]), points)
         assert "it met 10 N at 0.3 m/s, a ratio of 0.6, expected at most 0.5" in told
+        puck = model.body("puck").id
+        assert material.worst("ground", model, push, np.array([0.2, 0.3, 9.0]), points, puck) == told
+        assert material.worst("ground", model, push, np.array([0.2, 0.3, 9.0]), points, 0) == ""  # it is not that body

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 from wbc.contact import AxesContact
+from wbc.friction import Unilateral
 from wbc.log import Log
 from wbc.metrics import IMPACT, metrics, vocabulary
 from wbc.phase import Phase
@@ -105,11 +106,35 @@ def test_lost_ticks_are_those_of_the_active_contact_after_its_touch():
     assert metrics(made([range(100, 300)], force), phases(), 0.05)["board.lost"] == 7
 
 
+def test_how_much_of_the_friction_is_used_is_a_mean_of_the_ticks_that_press():
+    """Half of mu N for a while, all of it for thrice as long, and nothing where nothing presses."""
+    up = np.array([0.0, 0.0, -1.0])
+    point = AxesContact("eraser", ("vz",))
+    point.pushes = Unilateral(up, np.zeros((0, 3)), np.eye(3)[:2], 0.0, 0.4, 8, 0.005, None)
+    pushed = lambda i: 0.0 if 290 <= i < 300 else 10.0  # noqa: E731
+    told = {
+        "board.push": pushed,
+        "board.drag": lambda i: np.array([0.0, 2.0 if i < 160 else 0.4 * pushed(i)]),
+        "board.slip": lambda i: np.zeros(2),
+        "board.mu": lambda i: 0.4 if pushed(i) else 0.0,
+        "board.points": lambda i: float(pushed(i) > 0.0),
+    }
+    placed = [Phase({}, {}, {}, None, None, "air"), Phase({"board": point}, {}, {}, None, None, "board")]
+    found = metrics(made([range(100, 350)], **told), placed, 0.0)
+    ticks = np.array([0.5 if i < 160 else 1.0 for i in range(100, 350) if pushed(i)])
+    assert found["board.friction.share"] == pytest.approx(ticks.mean())
+    assert "board.friction.share" in vocabulary(placed)
+    late = metrics(made([range(100, 350)], **told), placed, 0.06)
+    assert late["board.friction.share"] == pytest.approx(1.0)
+
+
 def test_an_impact_is_held_against_the_peak_that_follows_it():
     late = round(IMPACT / DT)
     force = lambda i: 0.0 if i < 80 else {85: -20.0, 80 + late + 1: -50.0}.get(i, -10.0)  # noqa: E731
     told = {"board.predicted_peak": lambda i: 18.0 if i == 80 else None}
-    assert metrics(made([range(100, 300)], force, **told), phases(), 0.0)["board.impact_error"] == pytest.approx(0.1)
+    found = metrics(made([range(100, 300)], force, **told), phases(), 0.0)
+    assert found["board.impact_error"] == pytest.approx(0.1)
+    assert found["board.impact"] == pytest.approx(20.0)
     assert "board.impact_error" not in metrics(made([range(100, 300)], force), phases(), 0.0)
 
 

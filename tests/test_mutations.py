@@ -206,6 +206,7 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
             yield f"{name}.cone", contact.hold(state).cone.rows
             yield f"{name}.push", (*pushes.d, pushes.least, pushes.mu, pushes.slip, pushes.modelled)
         yield f"{name}.settling", contact.settling or ()
+        yield f"{name}.feedforward", contact.feedforward
         yield f"{name}.frame", (state.frame(contact.frame).T.homogeneous, contact.seen(state).T.homogeneous)
     for name, task in phase.tasks.items():
         yield f"{name}.weight", phase.weights[name]

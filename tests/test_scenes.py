@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from wbc.robot import Robot
+
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 PI = np.pi
 
@@ -307,6 +309,36 @@ def test_chalk_touches_with_one_ball_whose_lowest_point_is_the_task_frame():
     across = sum(m * ((3 * r**2 + (b - a) ** 2) / 12 + ((a + b) / 2 - com) ** 2) for m, r, a, b in (holder, stick))
     along = sum(m * r**2 / 2 for m, r, *_ in (holder, stick))
     np.testing.assert_allclose(model.body_inertia[1], [across, across, along], atol=1e-7)
+
+
+def test_a_mitt_touches_with_one_ball_whose_lowest_point_is_the_task_frame():
+    model = mujoco.MjSpec.from_file(str(SCENES / "tools" / "mitt.xml")).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    (tip,) = [i for i in range(model.ngeom) if model.geom_contype[i] or model.geom_conaffinity[i]]
+    centre = np.linalg.inv(pose(data, "mitt")) @ [*data.geom_xpos[tip], 1]
+    np.testing.assert_allclose(centre[:3], [0, 0, model.geom_size[tip, 0]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pose(data, "mitt"), shift(0, 0.12) @ turn(0, PI), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pose(data, "wrist_sensor"), np.eye(4), rtol=0, atol=1e-12)
+    mass, radius, length = 0.1, 0.03, 0.12  # [kg, m] a cylinder
+    assert model.body_mass[1] == pytest.approx(mass, abs=1e-12)
+    np.testing.assert_allclose(model.body_ipos[1], [0, 0, length / 2], atol=1e-12)
+    across, along = mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2
+    np.testing.assert_allclose(model.body_inertia[1], [across, across, along], atol=1e-9)
+
+
+def test_a_whiteboard_stands_before_a_humanoid_whose_hand_points_at_it():
+    robot = Robot.load("g1", "mitt", "whiteboard")
+    board = robot.fixed_pose("board")
+    np.testing.assert_allclose(board.rotation, [[0, 0, -1], [-1, 0, 0], [0, 1, 0]], atol=1e-12)
+    np.testing.assert_allclose(board.translation, [0.42, -0.15, 0.9], atol=1e-12)
+    mj = robot.mujoco
+    centre = mj.body("board_body").pos + board.rotation @ mj.geom("board").pos  # its face is where the site is
+    np.testing.assert_allclose(centre + board.rotation[:, 2] * mj.geom("board").size[2], board.translation, atol=1e-12)
+    hand = robot.model.frames[robot.frame_id("right_wrist_yaw_link")].placement
+    mitt = robot.model.frames[robot.frame_id("mitt")].placement
+    np.testing.assert_allclose(hand.rotation.T @ mitt.rotation, board.rotation, atol=1e-12)
+    np.testing.assert_allclose(hand.actInv(mitt).translation, [0.17, 0, 0], atol=1e-12)
 
 
 @each_robot

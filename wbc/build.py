@@ -103,8 +103,10 @@ def _start_joints(spec: specs.Spec, robot: Robot, faults: Faults) -> Array:
         i = robot.joints.index(joint)
         angle = q[i - robot.nu]
         if not robot.q_min[i] <= angle <= robot.q_max[i]:
-            message = f"{angle:g} rad is outside of the joint's range, {robot.q_min[i]:.4g} to {robot.q_max[i]:.4g}"
-            faults.add(("start", joint), message)
+            range_ = f"{robot.q_min[i]:.4g} to {robot.q_max[i]:.4g}"
+            faults.add(
+                ("start", joint), f"{angle:g} rad is outside of the joint's range, {range_}; expected one inside"
+            )
     return q
 
 

@@ -98,9 +98,19 @@ def declared(numerics: Iterator[tuple[str, np.ndarray]]) -> dict[str, Surface]:
     return found
 
 
-def worst(surface: str, model: mujoco.MjModel, push: np.ndarray, speed: np.ndarray, points: np.ndarray) -> str:
-    """Where a run left the range in which its contacts hold, or "": push [N], speed [m/s] and points of every tick."""
-    pairs = pairs_of(model, surface)
+def worst(
+    surface: str,
+    model: mujoco.MjModel,
+    push: np.ndarray,
+    speed: np.ndarray,
+    points: np.ndarray,
+    body: int | None = None,
+) -> str:
+    """Where a run left the range in which its contacts hold, or "": push [N], speed [m/s] and points of every tick, of
+    what moves as one with a `body`; None: of whatever touches the surface."""
+    pairs, rigid = pairs_of(model, surface), model.body_weldid
+    if body is not None:
+        pairs = [pair for pair in pairs if rigid[model.geom_bodyid[model.pair_geom2[pair]]] == rigid[body]]
     touched = points > 0
     if not pairs or not touched.any():
         return ""
@@ -132,18 +142,19 @@ def add_pairs(world: mujoco.MjSpec) -> None:
 
 def settle(model: mujoco.MjModel, mu: float | None = None) -> None:
     """Set the parameters of all declared pairs; `mu` instead of the declared friction. Raises ModelError."""
-    impratio = []  # one for the whole model: what slides has the say
+    impratio = []  # one for the whole model: what slides has the say, but never less than the scene's, for what stands
     for name, declared_surface in of_model(model).items():
         surface = declared_surface if mu is None else declared_surface._replace(mu=mu)
         pairs = pairs_of(model, name)
-        for pair in pairs:
-            found = parameters(surface, invweight(model, pair), len(pairs))
+        bodies = model.geom_bodyid[model.pair_geom2[pairs]].tolist()
+        for pair, body in zip(pairs, bodies, strict=True):
+            found = parameters(surface, invweight(model, pair), bodies.count(body))
             impratio.append(found.impratio)
             model.pair_solref[pair], model.pair_solreffriction[pair] = found.solref, found.solreffriction
             model.pair_solimp[pair] = found.solimp
             model.pair_friction[pair, :2] = surface.mu
     if impratio:
-        model.opt.impratio = min(impratio)
+        model.opt.impratio = max(model.opt.impratio, min(impratio))
 
 
 def of_model(model: mujoco.MjModel) -> dict[str, Surface]:

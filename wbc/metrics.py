@@ -7,7 +7,9 @@
     CONTACT.lost                                   ticks after first touch in which the contact carried no force
     CONTACT.peak, .pull                            largest force along its target, and against it, at any time [N]
     CONTACT.asked_pull                             the latter of what the controller asks for and predicts [N]
-    CONTACT.impact_error                           of the predicted peak of a touch, as a share of the true one [1]
+    CONTACT.impact                                 largest force along its target within 0.02 s of a touch of one point,
+                                                   between phases without the contact and with it [N]
+    CONTACT.impact_error                           of the predicted peak of such a touch, as a share of the true one [1]
     CONTACT.corners                                least number of points of contact that carried a force
   of a contact that `pushes`, and with `friction` the next three:
     CONTACT.tilt                                   largest angle between the frame and the face it closes on [deg]
@@ -15,6 +17,7 @@
     CONTACT.friction.angle                         where it slides, above 0.01 m/s: largest angle between the friction
                                                    on the robot and minus its velocity [deg]
     CONTACT.friction.mu_error                      there: largest error of |f_t|/f_n, relative to the surface's mu [1]
+    CONTACT.friction.share                         at any speed: mean of |f_t|/f_n, over the surface's mu [1]
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
     TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
@@ -73,7 +76,7 @@ def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
                     for axis in (*task.axes, *(WRENCH_AXES if task.wrench else ()))
                     for figure in ("rms_error", "max_error", "mean")
                 ]
-                names += [f"{task.contact}.{figure}" for figure in ("peak", "pull", "asked_pull", "impact_error")]
+                names += [f"{task.contact}.{figure}" for figure in _PEAKS]
         for name, contact in phase.contacts.items():
             names += [f"{name}.{figure}" for figure in ("lost", "corners", *_of_push(contact))]
             names += [f"{name}.{axis}.{figure}" for axis in _held_axes(contact) for figure in ("slip", "speed.max")]
@@ -87,6 +90,7 @@ def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
     return sorted({*names, *stance.names(phases, plant)})
 
 
+_PEAKS = ("peak", "pull", "asked_pull", "impact", "impact_error")
 _MOTION = (
     "position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max", "overshoot",
 )  # fmt: skip
@@ -196,7 +200,10 @@ def _peaks(log: Log, name: str, linear: list[int]) -> dict[str, float]:
         return out
     predicted, steps = log[f"{name}.predicted_peak"], round(IMPACT / log.meta["dt"])
     true = {i: force[i : i + steps].max() for i in np.flatnonzero(np.isfinite(predicted))}
-    return out | {f"{name}.impact_error": float(max(abs(predicted[i] / true[i] - 1.0) for i in true))} if true else out
+    if true:
+        out[f"{name}.impact"] = float(max(true.values()))
+        out[f"{name}.impact_error"] = float(max(abs(predicted[i] / true[i] - 1.0) for i in true))
+    return out
 
 
 def _of_push(contact: Contact) -> tuple[str, ...]:
@@ -207,7 +214,7 @@ def _of_push(contact: Contact) -> tuple[str, ...]:
     tilt = () if pushes.place is None else ("tilt",)
     if not pushes.mu:
         return tilt
-    sliding = () if len(pushes.held) else ("friction.angle", "friction.mu_error")
+    sliding = () if len(pushes.held) else ("friction.angle", "friction.mu_error", "friction.share")
     return (*tilt, *(("creep",) if len(pushes.slides) == 0 else sliding))
 
 
@@ -224,8 +231,11 @@ def _push(log: Log, name: str, contact: Contact, late: NDArray[np.bool_]) -> dic
         if "creep" in wanted:
             out[f"{name}.creep"] = _largest(speed)
         else:
-            fast = (speed > SLIDING) & (push > 0.0)
-            slip, drag, push, mu = slip[fast], drag[fast], push[fast], log[f"{name}.mu"][touched][fast]
+            mu, pressed = log[f"{name}.mu"][touched], push > 0.0
+            used = np.linalg.norm(drag, axis=1)[pressed] / (mu * push)[pressed]
+            out[f"{name}.friction.share"] = float(used.mean()) if used.size else math.nan
+            fast = (speed > SLIDING) & pressed
+            slip, drag, push, mu = slip[fast], drag[fast], push[fast], mu[fast]
             turned = slip[:, 0] * drag[:, 1] - slip[:, 1] * drag[:, 0]
             angle = np.arctan2(np.abs(turned), (slip * drag).sum(axis=1))
             out[f"{name}.friction.angle"] = float(np.degrees(_largest(angle)))

@@ -25,11 +25,11 @@ from .impedance import Compliance
 from .log import Log
 from .metrics import metrics
 from .model import quietly
-from .phase import Phase
+from .phase import Phase, hold
 from .relative import GazeTask
 from .response import Bode, described, responses
-from .robot import State
-from .sim import Observation, Simulator, Touch
+from .robot import State, Terms
+from .sim import Observation, Simulator, Touch, carrier
 from .task import ForceTask, MotionTask
 from .transition import STOP
 from .wrench import Wrench
@@ -107,6 +107,7 @@ def _loop(
     deaf = unfelt(built.robot, built.phases)
     feeling = [name for phase in built.phases for name in phase.feeling if name not in deaf]
     touched = dict.fromkeys(contacts, True)
+    terms = None if simulator.encoders is None or simulator.encoders.exact else Terms(built.robot)
     for tick in range(ticks):
         seen = simulator.observe()
         measured = _measured(simulator, controller, before, seen)
@@ -117,7 +118,9 @@ def _loop(
         simulator.apply(out.tau)
         true = {name: simulator.true_touch(contact.frame) for name, contact in contacts.items()}
         before = (seen, out, controller.state)
-        row = _row(controller, seen, out, took) | _contact_rows(controller, out, contacts, true)
+        state = controller.state if terms is None else _true_state(controller, simulator, terms)
+        true_seen = Observation(seen.t, *simulator.true_state)
+        row = _row(controller, state, true_seen, out, took) | _contact_rows(state, out, contacts, true)
         for name, contact in contacts.items():
             touching = bool(true[name].F.any())
             if touching and not touched[name] and name not in controller.phase.contacts:
@@ -126,7 +129,7 @@ def _loop(
         log.append(out.active, **row)
         _record_pushes(log, controller, simulator)
         if built.robot.base:
-            stance.record(log, controller, simulator, out, contacts)
+            stance.record(log, controller, state, simulator, out, contacts)
         _note_phase(log, controller, seen.t, out)
         if hook is not None:
             hook(seen, out)
@@ -134,6 +137,15 @@ def _loop(
             show(simulator)
         if progress is not None and tick % 50 == 49:
             progress(tick + 1)
+
+
+def _true_state(controller: Controller, simulator: Simulator, terms: Terms) -> State:
+    """The state as it is where the controller only knows it with the noise of encoders, with what it wants there."""
+    known = controller.state
+    state = State(terms, *simulator.true_state, known.t, known.dt)
+    state.starts, state.targets, state.measured = known.starts, known.targets, known.measured
+    hold(state, controller.phase)
+    return state
 
 
 def _predicted_peak(simulator: Simulator, state: State, contact: Contact) -> float:
@@ -190,9 +202,9 @@ def _record_pushes(log: Log, controller: Controller, simulator: Simulator) -> No
     log.put(**row)
 
 
-def _row(controller: Controller, seen: Observation, out: Output, took: float) -> dict[str, Any]:
-    """What a tick leaves in the log, all but what the contacts do."""
-    state, phase, memory = controller.state, controller.phase, controller.memory
+def _row(controller: Controller, state: State, seen: Observation, out: Output, took: float) -> dict[str, Any]:
+    """What a tick leaves in the log, of what truly is, all but what the contacts do."""
+    phase, memory = controller.phase, controller.memory
     assert memory is not None
     row: dict[str, Any] = {
         "t": seen.t, "q": seen.q, "v": seen.v, "vdot": out.vdot, "tau": memory.tau, "tau_min": phase.torque.low,
@@ -218,10 +230,10 @@ def _row(controller: Controller, seen: Observation, out: Output, took: float) ->
 
 
 def _contact_rows(
-    controller: Controller, out: Output, contacts: Mapping[str, Contact], true: Mapping[str, Touch]
+    state: State, out: Output, contacts: Mapping[str, Contact], true: Mapping[str, Touch]
 ) -> dict[str, Any]:
     """True, predicted and measured wrenches, also of contacts that are not active."""
-    state, row, unknown = controller.state, dict[str, Any](), np.full(6, np.nan)
+    row, unknown = dict[str, Any](), np.full(6, np.nan)
     for name, contact in contacts.items():
         held = state.contacts.get(name)
         inverse = contact.pseudo_inverse(contact.A(state)) if held is None else held.inverse
@@ -278,11 +290,14 @@ def _listens(phase: Phase, name: str) -> bool:
 
 def _validity(built: Built, log: Log, model: Any) -> Iterator[str]:
     """Where the contact parameters of declared surfaces were not made for what the run did."""
-    for name in sorted({name for phase in built.phases for name in phase.contacts if f"{name}.slip" in log}):
+    frames = {name: contact.frame for phase in built.phases for name, contact in phase.contacts.items()}
+    for name in sorted(name for name in frames if f"{name}.slip" in log):
+        body, _ = carrier(built.robot, frames[name])
         late = log.late(np.isfinite(log[f"{name}.push"]), built.spec.expect.settle)
         speed = np.linalg.norm(log[f"{name}.slip"][late], axis=1)
         for surface in material.of_model(model):
-            if note := material.worst(surface, model, log[f"{name}.push"][late], speed, log[f"{name}.points"][late]):
+            push, points = log[f"{name}.push"][late], log[f"{name}.points"][late]
+            if note := material.worst(surface, model, push, speed, points, body):
                 yield note
 
 

@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from . import material
 from . import model as models
+from .encoder import Encoders
 from .errors import ModelError, SimulationError
 from .model import body_name, quietly, to_pinocchio
 from .outside import Outside, carried, has_site
@@ -68,22 +69,21 @@ class Simulator:
         self.data.qpos[self._own_q] = to_mujoco(robot.mujoco, q)
         self._noise = plant.noise if plant is not None else None
         self._rng = np.random.default_rng(seed)
+        self.encoders = Encoders(robot.model, self._noise, dt, self._rng) if self._noise is not None else None
         self._delayed: deque[Array] = deque(maxlen=(plant.delay if plant is not None else 0) + 1)
         self._sensor = ForceSensor(robot) if all(_has_sensor(self.model, name) for name in SENSORS) else None
         self._motors = _actuators(self.model, self._own_v[robot.base :])
         self._driver = robot.model.createData()
         self._outside = Outside(self.model, plant)
+        self.true_state = self._state()  # (q, v) that was last observed, without the noise of encoders
 
     def observe(self) -> Observation:
         """Kinematics at the present state, as the encoders see it."""
         self._outside.move(self.data)
         mujoco.mj_step1(self.model, self.data)
-        q, v = self._state()
-        if self._noise is not None and (self._noise.position or self._noise.velocity):
-            away = self._rng.normal(0.0, 1.0, v.size) * self._noise.position
-            q = pin.integrate(self.robot.model, q, away) if self.robot.base else q + away
-            v = v + self._rng.normal(0.0, 1.0, v.size) * self._noise.velocity
-        return Observation(self.data.time, q, v)
+        self.true_state = self._state()
+        measured = self.true_state if self.encoders is None else self.encoders.read(*self.true_state)
+        return Observation(self.data.time, *measured)
 
     def _state(self) -> tuple[Array, Array]:
         return to_pinocchio(self.robot.mujoco, self.data.qpos[self._own_q], self.data.qvel[self._own_v])
@@ -228,20 +228,22 @@ class Simulator:
         (body, *_), rigid = carried(self.model, self.data, frame), self.robot.mujoco.body_weldid
         model, data = self.model, self.data
         touching = (model.geom_contype | model.geom_conaffinity) > 0
-        own = np.flatnonzero((rigid[model.geom_bodyid] == rigid[body]) & touching)
-        out, force = np.zeros((own.size, 3)), np.zeros(6)
+        geoms_of_body = np.flatnonzero((rigid[model.geom_bodyid] == rigid[body]) & touching).tolist()
+        own = {geom: row for row, geom in enumerate(geoms_of_body)}
+        out, force = np.zeros((len(own), 3)), np.zeros(6)
         for i in range(data.ncon):
             contact = data.contact[i]
-            inside = [geom in own for geom in contact.geom]
+            pair = contact.geom.tolist()
+            inside = [geom in own for geom in pair]
             if inside[0] == inside[1]:
                 continue
             mujoco.mj_contactForce(model, data, i, force)
             if force[0] <= 0.0:
                 continue
-            geoms = contact.geom if inside[0] else contact.geom[::-1]
+            geoms = pair if inside[0] else pair[::-1]
             v = self._velocity_at(geoms[0], contact.pos) - self._velocity_at(geoms[1], contact.pos)
             n = contact.frame[:3]
-            out[int(np.flatnonzero(own == geoms[0])[0])] = v - n * (n @ v)
+            out[own[geoms[0]]] = v - n * (n @ v)
         return out
 
     def _velocity_at(self, geom: int, place: Array) -> Array:

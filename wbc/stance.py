@@ -38,6 +38,7 @@ from .task import MotionTask
 if TYPE_CHECKING:
     from .contact import Contact
     from .controller import Controller, Output
+    from .robot import State
     from .sim import Simulator
 
 REST = 1e-5  # [rad/s, m/s] largest velocity at rest
@@ -48,10 +49,10 @@ _LOGGED = {"position": "away", "internal": "lacking"}
 
 
 def record(
-    log: Log, controller: Controller, simulator: Simulator, out: Output, contacts: Mapping[str, Contact]
+    log: Log, controller: Controller, state: State, simulator: Simulator, out: Output, contacts: Mapping[str, Contact]
 ) -> None:
-    """One tick."""
-    state, row = controller.state, dict[str, Any]()
+    """One tick, at its true state."""
+    row = dict[str, Any]()
     gravity = state.robot.model.gravity.linear
     weight = load(state) * float(np.linalg.norm(gravity))
     carried, dt = np.zeros(3), controller.dt

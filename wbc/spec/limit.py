@@ -57,7 +57,15 @@ class Noise(Model):
     moment: NonNegative = Field(default=0.0, description="measured moment [N m]")
     position: NonNegative = Field(default=0.0, description="joint position [rad]")
     velocity: NonNegative = Field(default=0.0, description="joint velocity [rad/s]")
+    differenced: Positive | None = Field(
+        default=None,
+        description="the velocity is the difference of the measured positions, low-passed at this cut-off [Hz]",
+    )
     bias: Bias = Field(default_factory=Bias, description="what the force sensor reads without a force")
+
+    def _faults(self) -> Iterable[Message]:
+        if self.differenced is not None and self.velocity:
+            yield ("velocity",), "it is made of the positions; expected either noise of its own or `differenced`"
 
 
 class Plant(Model):
