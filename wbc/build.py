@@ -14,7 +14,7 @@ import numpy as np
 
 from . import spec as specs
 from .analytic import damping_limit
-from .closing import CLOSED, Goal, close
+from .closing import CLOSED, Goal, Lying, close
 from .contact import Contact
 from .controller import Controller
 from .dynamics import mobility
@@ -108,7 +108,7 @@ def _start_joints(spec: specs.Spec, robot: Robot, faults: Faults) -> Array:
     return q
 
 
-def _close(q: Array, goals: Sequence[Goal], robot: Robot, faults: Faults) -> Array:
+def _close(q: Array, goals: Sequence[Goal | Lying], robot: Robot, faults: Faults) -> Array:
     """The start pose moved onto the contacts and references; unmoved where there are faults."""
     if not goals:
         return q
