@@ -70,7 +70,7 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     q_home = _start_joints(spec, robot, faults)
     geometry.at(q_home)
     faults.check()
-    notes = _check_followed(geometry)
+    notes = _check_followed(geometry) + _unlimited(spec, robot)
     entries: Mapping[str, specs.Phase | None] = spec.phases or {"": None}
     first = replace(geometry, spec=_active(spec, next(iter(entries.values()))))
     q = _close(q_home, first.goals(q_home, *first.at(q_home)), robot, faults)
@@ -155,6 +155,18 @@ def _check_followed(geometry: Geometry) -> list[str]:
         elif idle and reference.kind != "profile":
             along = ", ".join(VELOCITY_AXES[i] for i in sorted(idle))
             notes.append(f"{name}: nothing follows its motion along {along}")
+    return notes
+
+
+def _unlimited(spec: specs.Spec, robot: Robot) -> list[str]:
+    """Limits that are said to be the model's, and which it does not state."""
+    most = {"torque": robot.tau_max, "velocity": robot.v_max, "position": robot.q_max}
+    notes = list[str]()
+    for name, limit in most.items():
+        joints = [robot.joints[i] for i in np.flatnonzero(np.isinf(limit))]
+        if joints and getattr(spec.limits, name) == "model":
+            few = ", ".join(joints[:6]) + (f" and {len(joints) - 6} others" if len(joints) > 6 else "")
+            notes.append(f"limits.{name}: the model states none for {few}")
     return notes
 
 

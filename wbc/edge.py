@@ -31,8 +31,8 @@ class EdgeContact(AxesContact):
         A = [S, 0; r [z]x, I] blkdiag(E'R, E'R)
 
     so that the multipliers are the wrench at the middle of the line of contact, in the axes of the edge, without the
-    moment along it: a moment across, one about the normal, a force. E turns about n with psidot = w_z - w_e tan(tilt), where
-    the tilt of the edge against the plane is 0 while it lies there.
+    moment along it: a moment across, one about the normal, a force. E turns about n with psidot = w_z - w_e tan(tilt),
+    where the tilt of the edge against the plane is 0 while it lies there.
     """
 
     def __init__(self, frame: str, normal: Array, along: int = 1, radius: float = 0.0) -> None:
