@@ -31,6 +31,7 @@ from .model import open_welds
 from .names import check_names, load_robot
 from .phase import Phase, prioritised
 from .qp import Array
+from .ride import Ride
 from .robot import Robot
 from .sim import to_mujoco
 from .solver import Solver, make
@@ -56,6 +57,7 @@ class Built:
     phases: tuple[Phase, ...] = ()
     notes: list[str] = field(default_factory=list)
     masses: list[MassRange] = field(default_factory=list)
+    rides: Mapping[str, Ride] = field(default_factory=dict)  # how bodies of the scene move
 
 
 def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | None = None) -> Built:
@@ -70,6 +72,10 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     q_home = _start_joints(spec, robot, faults)
     geometry.at(q_home)
     faults.check()
+    rides = {
+        body: geometry.ride(path, robot.fixed_pose(body), ("plant", "paths", body))
+        for body, path in spec.plant.paths.items()
+    }
     notes = _check_followed(geometry) + _unlimited(spec, robot)
     entries: Mapping[str, specs.Phase | None] = spec.phases or {"": None}
     first = replace(geometry, spec=_active(spec, next(iter(entries.values()))))
@@ -91,7 +97,7 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     masses = [each for phase in made for each in phase.masses]
     most = {name: limits for each in made for name, limits in each.damping_limits.items()}
     notes += controller.notes
-    return Built(spec, robot, controller, q, poles, margins, most, controller.phases, notes, masses)
+    return Built(spec, robot, controller, q, poles, margins, most, controller.phases, notes, masses, rides)
 
 
 def _start_joints(spec: specs.Spec, robot: Robot, faults: Faults) -> Array:

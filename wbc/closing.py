@@ -66,16 +66,20 @@ class Lying(NamedTuple):
 def close(robot: Robot, q: Array, goals: Sequence[Goal | Lying], steps: int = 200) -> tuple[Array, list[float]]:
     """The configuration nearest along the way from `q` (nq,), and how far it is from every goal [m, rad].
 
-    A floating base is set down on its planes first, as it is; then the joints move as far as is left.
+    A floating base is set down on its planes first, straight down and as it is; then all moves as far as is left.
     """
     planes = [goal for goal in goals if isinstance(goal, Lying) or goal.axes is not None]
     if robot.base and planes:
-        q, _ = _nearer(robot, q, planes, steps, robot.base)
-    return _nearer(robot, q, goals, steps, robot.nv)
+        down = np.zeros((robot.nv, 1))
+        down[:3, 0] = pin.XYZQUATToSE3(q[:7]).rotation[2]  # the world's z in the axes of the base
+        q, _ = _nearer(robot, q, planes, steps, down)
+    return _nearer(robot, q, goals, steps, np.eye(robot.nv))
 
 
-def _nearer(robot: Robot, q: Array, goals: Sequence[Goal | Lying], steps: int, moves: int) -> tuple[Array, list[float]]:
-    """Newton steps with the first `moves` velocities."""
+def _nearer(
+    robot: Robot, q: Array, goals: Sequence[Goal | Lying], steps: int, moves: Array
+) -> tuple[Array, list[float]]:
+    """Newton steps along the columns of `moves` (nv, m)."""
     still, q = np.zeros(robot.nv), q.copy()
     errors: list[Array] = [np.zeros(1) for _ in goals]
     for _ in range(steps if goals else 0):
@@ -83,9 +87,8 @@ def _nearer(robot: Robot, q: Array, goals: Sequence[Goal | Lying], steps: int, m
         frames = [state.frame(goal.frame) for goal in goals]
         errors = [goal.error(frame.T) for goal, frame in zip(goals, frames, strict=True)]
         J = np.concatenate([goal.rows_at(frame.T) @ frame.J for goal, frame in zip(goals, frames, strict=True)])
-        damped = np.concatenate((J[:, :moves], 1e-6 * np.eye(moves)))
-        step = still.copy()
-        step[:moves] = np.linalg.lstsq(damped, np.concatenate((*errors, still[:moves])), rcond=None)[0]
+        damped = np.concatenate((J @ moves, 1e-6 * np.eye(moves.shape[1])))
+        step = moves @ np.linalg.lstsq(damped, np.concatenate((*errors, still[: moves.shape[1]])), rcond=None)[0]
         largest = float(np.abs(step).max())
         q = pin.integrate(robot.model, q, step * min(1.0, 0.5 / max(largest, 1e-12)))
         if largest < 1e-12:

@@ -21,6 +21,7 @@ from .errors import WrenchError
 from .footing import Footing
 from .friction import Cone, Unilateral
 from .qp import Array, Rows
+from .ride import Ride
 from .robot import State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
@@ -87,7 +88,8 @@ class Contact(ABC):
     load of a hinge) as known; "modelled" counts the drag of sliding friction into the contact's own wrench; "none"
     leaves it to the feedback. `pushes`: the direction in which it only pushes, and friction across it. `settling`: what
     it does about motion against it, by default nothing. `footing`: the plane it stands on, off which it carries
-    nothing. `steady`: its multipliers are forces along axes of its own, so that their cone never changes.
+    nothing. `ride`: how its ground moves; by default it stands still. `steady`: its multipliers are forces along axes
+    of its own, so that their cone never changes.
     """
 
     frame: str
@@ -96,6 +98,7 @@ class Contact(ABC):
     pushes: Unilateral | None = None
     settling: Settling | None = None
     footing: Footing | None = None
+    ride: Ride | None = None
     steady = False
 
     @abstractmethod
@@ -113,6 +116,10 @@ class Contact(ABC):
     def turn(self, state: State) -> Array | None:
         """(3, 3) rotation from the axes in which the contact is given to those of `frame`; None: they are the same."""
         return None
+
+    def seen(self, state: State) -> State:
+        """The state as the ground of the contact sees it: what A, Adot V and `hold` are to be given."""
+        return state if self.ride is None else self.ride.seen(state, self.frame)  # type: ignore[return-value]
 
     def known(self, state: State, held: Held, F: Array) -> Array:
         """(6,) what of a measured wrench is fed forward: its part along the free axes, drag within the cone."""

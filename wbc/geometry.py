@@ -26,6 +26,7 @@ from .names import MOVING
 from .qp import Array
 from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, arc, constant, hold, quintic, ramp, sine
 from .relative import relative_axes
+from .ride import Ride
 from .robot import Robot
 from .surface import Sole
 from .transition import Reading
@@ -68,6 +69,9 @@ class Geometry:
                 rate = entry.settling if entry.settling is not None else SETTLING if self.robot.base else 0.0
                 contacts[name].settling = Settling(rate) if rate else None
                 contacts[name].footing = self._footing(name, entry)
+                if entry.rides is not None:
+                    place = self._on(name, entry, q)[0]
+                    contacts[name].ride = self.ride(entry.rides, place, ("contacts", name, "rides"))
             if name in contacts and entry.push is not None:
                 self._push(name, entry, entry.push, contacts[name], q)
         references: dict[str, Reference] = {}
@@ -124,6 +128,15 @@ class Geometry:
                     continue
                 goals.append(Goal(contact.frame, paths[name](0.0).T if name in paths else T, rows, ("contacts", name)))
         return goals
+
+    def ride(self, name: str, here: pin.SE3, path: Place) -> Ride:
+        """The motion of ground that is at `here` at the start."""
+        self.followed.setdefault(name, set()).update(range(6))
+        key = repr((name, self.spec.references[name], here.homogeneous.tobytes()))
+        if key not in self.made:
+            self.made[key] = Ride(self._path(name, here, path))
+        ride: Ride = self.made[key]
+        return ride
 
     def force(self, contact: str, axis: str, value: float | str) -> Scalar:
         """A number, or the motion along x of a reference, in newtons."""

@@ -118,6 +118,8 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
         names.frame(push.frame, ("plant", "pushes", name, "frame"), moves=True, body=True)
     for body in spec.plant.moves:
         names.mocap(body, ("plant", "moves", body))
+    for body in spec.plant.paths:
+        names.carried(body, ("plant", "paths", body))
     if spec.start is not None:
         names.pose(spec.start, ("start",))
     for limit in ("torque", "torque_rate", "velocity", "acceleration"):
@@ -174,6 +176,16 @@ class _Names:
         if name not in known:
             hint = did_you_mean(name, known) or '; expected one with mocap="true", of which the scene has none'
             self.faults.add(path, f"no mocap body named {name!r}{hint}")
+
+    def carried(self, name: str, path: Place) -> None:
+        """A body of the scene that moves freely in the simulator, and is at rest for the controller."""
+        mj = self.robot.plant
+        joints = range(0 if mj is None else mj.njnt)
+        known = [mj.body(int(mj.jnt_bodyid[joint])).name for joint in joints if mj.jnt_type[joint] == 0]
+        known = [body for body in known if not self.robot.model.frames[self.robot.frame_id(body)].parentJoint]
+        if name not in known:
+            hint = did_you_mean(name, known) or "; expected one with a free joint, of which the scene has none"
+            self.faults.add(path, f"no body named {name!r} that moves freely{hint}")
 
     def pose(self, pose: str | Mapping[str, float], path: Place, *more: str) -> None:
         known = [*self.robot.keyframes, *more]

@@ -143,7 +143,7 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
 def hold(state: State, phase: Phase) -> None:
     """Evaluate the contacts of a phase at a state."""
     for name, contact in phase.contacts.items():
-        state.contacts[name] = contact.hold(state)
+        state.contacts[name] = contact.hold(contact.seen(state))
 
 
 def carry(state: State, phase: Phase) -> None:

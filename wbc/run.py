@@ -78,7 +78,7 @@ def run(
     spec, controller = built.spec, built.controller
     dt = controller.dt
     ticks = max(1, round(spec.duration * spec.rate))
-    simulator = Simulator(built.robot, built.q, dt, spec.plant, seed)
+    simulator = Simulator(built.robot, built.q, dt, spec.plant, seed, built.rides)
     log = Log(ticks, _meta(built, seed))
     controller.reset(built.q, np.zeros(built.robot.nv))
     if spec.tare:
@@ -225,13 +225,14 @@ def _contact_rows(
     state, row, unknown = controller.state, dict[str, Any](), np.full(6, np.nan)
     for name, contact in contacts.items():
         held = state.contacts.get(name)
-        inverse = contact.pseudo_inverse(contact.A(state)) if held is None else held.inverse
+        seen = contact.seen(state)
+        inverse = contact.pseudo_inverse(contact.A(seen)) if held is None else held.inverse
         row |= {f"{name}.true": true[name].F, f"{name}.lam": inverse @ true[name].F}
-        row[f"{name}.carried"] = (contact.A(state) if held is None else held.A).T @ row[f"{name}.lam"]
+        row[f"{name}.carried"] = (contact.A(seen) if held is None else held.A).T @ row[f"{name}.lam"]
         row[f"{name}.rate"] = np.full(contact.k, np.nan) if held is None else held.slip
         row |= {f"{name}.points": true[name].points, f"{name}.mu": true[name].mu}
         if held is not None and contact.pushes is not None:
-            told = contact.pushes.told(contact, state, true[name].F)
+            told = contact.pushes.told(contact, seen, true[name].F)
             row |= {f"{name}.{quantity}": value for quantity, value in told.items()}
         row[f"{name}.predicted"] = out.wrenches.get(name, unknown)
         row[f"{name}.asked"] = inverse @ row[f"{name}.predicted"]

@@ -152,6 +152,7 @@ class Contact(OneOf):
         description="frame of the scene on whose plane z = 0 it stands, wherever the start has it; floor, where there "
         "is one, for what pushes on a robot with a floating base",
     )
+    rides: Name | None = Field(default=None, description="the reference by which its ground moves from where it is")
     settling: NonNegative | None = Field(
         default=None, description="damping of motion against it; 20 on a robot with a floating base, else 0 [1/s]"
     )
@@ -248,6 +249,11 @@ class Contact(OneOf):
                 bound = f"at {'most' if pushed < 0 else 'least'} {pushed * self.push.least:g}"
                 message = f"{target:g} N is less than the least push along {side}; expected {bound}"
                 yield ("artificial", *under, force), message
+        if self.rides is not None and self.motion_targets:
+            message = (
+                "its ground moves, and a motion drawn on it does not follow; expected no target of motion beside it"
+            )
+            yield ("rides",), message
         yield from self._standing()
         if self.feedforward == "modelled" and self.friction is None:
             yield ("feedforward",), "modelled friction needs its coefficient; expected `friction: MU` beside it"
