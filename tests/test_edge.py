@@ -39,7 +39,7 @@ class _At:
     """A frame at a pose."""
 
     def __init__(self, T):
-        self.T = T
+        self.T, self.R, self.p = T, T.rotation, T.translation
 
 
 def axes_of(normal, edge, along):

@@ -259,7 +259,7 @@ class Program:
             joint.fill(state.q, state.v, dt, self._joint)
         self._costs = self.costs(state)
         self.last = self.strict
-        return _fill(self.strict, self._costs)
+        return _fill(self.strict, self._summed)
 
     def _contact_rows(self, state: State) -> list[Rows]:
         """The constraints of the contacts, with the names of their rows."""
@@ -308,7 +308,12 @@ class Program:
         joint = self._hard[-1]._replace(A={"vdot": None, "yield": None})
         self.last = self.yielding
         self._costs = [(spring, YIELD_WEIGHT, 0), *self._costs]
-        return _fill(self.yielding, self._costs, [*self._hard[:-1], joint])
+        return _fill(self.yielding, self._summed, [*self._hard[:-1], joint])
+
+    @property
+    def _summed(self) -> list[Cost]:
+        """The costs that make one sum; where priorities are strict there is none."""
+        return self._costs if self.phase.levels is None else []
 
     def solve(self, solver: Solver) -> Solution:
         """A certified answer of the last problem: of its one sum of costs, or level by level."""
