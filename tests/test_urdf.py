@@ -96,7 +96,7 @@ class TestFeet:
             mj = robot.mujoco
             own = np.flatnonzero(mj.geom_bodyid == mj.body("foot").id)
             np.testing.assert_allclose(mj.geom_pos[own], places, atol=1e-12)
-            np.testing.assert_allclose(mj.geom_size[own, 0], radius)
+            np.testing.assert_allclose(mj.geom_size[own, 0], radius + 1e-6, atol=1e-12)
             assert pin.computeTotalMass(robot.model) == pytest.approx(6.3)
 
     def test_it_lands_on_them(self, hopper):
@@ -122,6 +122,30 @@ def test_what_a_model_does_not_limit_is_told(tmp_path, hopper):
     assert "limits.torque: the model states none for hip" in notes
     assert "limits.velocity: the model states none for hip" in notes
     assert not [note for note in build(load("eraser")).notes if "states none" in note]
+
+
+PLACE = """<link name="place"><inertial><mass value="{0}"/>
+  <inertia ixx="{1}" iyy="{1}" izz="{1}" ixy="{1}" ixz="{1}" iyz="{1}"/></inertial></link>"""
+
+
+@pytest.mark.parametrize(("mass", "inertia"), [(0, 0), (1e-6, 0), (1e-6, 1e-6)])
+def test_links_that_stand_for_places_load(hopper, mass, inertia):
+    """Without an inertia about some axis MuJoCo would refuse them; of a robot that falls apart they are no part."""
+    path, more = hopper(), PLACE.format(mass, inertia) + JOINT.format("at", "fixed", "foot", "place", "0 0 0")
+    text = URDF.replace("</robot>", more + "</robot>")
+    with open(path, "w") as file:
+        file.write(text)
+    robot = Robot.load(path)
+    assert "place" in robot.frames
+    assert pin.computeTotalMass(robot.model) == pytest.approx(6.3 + mass, abs=1e-12)
+
+
+def test_an_inertia_that_cannot_be_is_refused_by_name(hopper):
+    path = hopper()
+    with open(path, "w") as file:
+        file.write(URDF.replace('izz="0.01" ixy="0"', 'izz="0.01" ixy="0.5"'))
+    with pytest.raises(ModelError, match=r"positive eigenvalues[^$]*trunk"):
+        Robot.load(path)
 
 
 @needs_examples

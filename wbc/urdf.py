@@ -22,7 +22,9 @@ from .errors import ModelError, did_you_mean
 from .qp import Array
 
 ROOT = "root_joint"  # what an SRDF calls the joint of a floating base
+LEAST = 1e-9  # [kg m^2] added where a link with a mass has an inertia of zero about an axis
 TIP = 0.005  # [m] radius of the spheres under a sole
+SUNK = 1e-6  # [m] and more, so that what starts on a floor touches it whatever rounding says
 
 
 class Foot(NamedTuple):
@@ -68,6 +70,7 @@ def read(path: Path, base: str | None = None) -> mujoco.MjSpec:
     for link in root.iter("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
+        _settle_inertia(link)
     for extension in root.findall("mujoco"):
         root.remove(extension)
     ET.SubElement(
@@ -89,6 +92,23 @@ def read(path: Path, base: str | None = None) -> mujoco.MjSpec:
     if poses:
         _add_keys(spec, poses)
     return spec
+
+
+def _settle_inertia(link: ET.Element) -> None:
+    """What MuJoCo refuses of links that stand for places: an inertia of zero is left out, or `LEAST` beside a mass.
+
+    Out of what no body can have MuJoCo makes that of a sphere (`balanceinertia`): of 1e-6 kg m^2 it matters not.
+    """
+    for inertial in link.findall("inertial"):
+        mass, inertia = inertial.find("mass"), inertial.find("inertia")
+        if mass is None or inertia is None:
+            continue
+        I = np.array([[float(inertia.get(f"i{min(a, b)}{max(a, b)}", 0.0)) for a in "xyz"] for b in "xyz"])
+        if float(mass.get("value", 0.0)) == 0.0 and not I.any():
+            link.remove(inertial)
+        elif abs(np.linalg.eigvalsh(I)[0]) <= 1e-9 * np.trace(I) or not I.any():
+            for axis in "xyz":
+                inertia.set(f"i{axis}{axis}", repr(float(inertia.get(f"i{axis}{axis}", 0.0)) + LEAST))
 
 
 def _poses(path: Path, joints: set[str]) -> dict[str, dict[str, list[float]]]:
@@ -132,6 +152,6 @@ def add_feet(spec: mujoco.MjSpec, feet: Mapping[str, Foot]) -> None:
         radius, centres = foot.spheres()
         for i, centre in enumerate(centres):
             geom = body.add_geom(name=f"{frame}_tip{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=centre, mass=0.0)
-            geom.size[0], geom.friction[0], geom.condim = radius, 0.8, 3
+            geom.size[0], geom.friction[0], geom.condim = radius + SUNK, 0.8, 3
             geom.solref, geom.contype, geom.conaffinity = [0.004, 1.0], 1, 2
             geom.rgba = [0.15, 0.16, 0.18, 1.0]
