@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.metadata
+import os
 
+import bars
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -17,6 +19,8 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.spec import load
 from wbc.urdf import TIP, Foot
+
+LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 
 
 def installed() -> bool:
@@ -185,6 +189,14 @@ class TestExamples:
         told = check(load("talos_stand"))
         assert told.feasible
         assert told.model_error < 1e-9
+
+    @pytest.mark.skipif(not LARGE, reason="runs by hand, and with WBC_CAMPAIGN=large")
+    @pytest.mark.parametrize("solver", ["daqp", "proxqp"])
+    def test_talos_stand_meets_its_bars(self, solver):
+        finished = run(build(load("talos_stand", [f"solver={solver}"])))
+        for metric, bound in (bars.SPECS["talos_stand"] | bars.ALWAYS).items():
+            assert finished.summary["metrics"][metric] <= bound
+        assert finished.ok
 
     def test_solo12_stands_on_its_round_feet(self, tmp_path):
         feet = "\n".join(
