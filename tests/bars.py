@@ -94,6 +94,37 @@ SPECS: dict[str, dict[str, float]] = {
         "weight.rest.error": 1e-6,
         "joint.max_excess": 0,
     },
+    "g1_slopes": {  # each foot on a slope of its own
+        "balance.position.rms_error": 5e-4,
+        **{f"{foot}.slip": 2e-4 for foot in ("left_foot", "right_foot")},
+        **{f"{foot}.cone.max_excess": 1e-6 for foot in ("left_foot", "right_foot")},
+        **{f"{foot}.motion.error": 5e-3 for foot in ("left_foot", "right_foot")},  # of m g
+        "joint.max_excess": 0,
+    },
+    "go2_ride": {  # on a platform that moves
+        "balance.position.rms_error": 5e-4,
+        **{f"{foot}.slip": 2e-4 for foot in ("FL", "FR", "RL", "RR")},
+        **{f"{foot}.cone.max_excess": 1e-6 for foot in ("FL", "FR", "RL", "RR")},
+        **{f"{foot}.motion.error": 5e-3 for foot in ("FL", "FR", "RL", "RR")},
+        "joint.max_excess": 0,
+    },
+    "talos_stand": {
+        "balance.position.rms_error": 2e-3,
+        **{f"{foot}.slip": 2e-4 for foot in ("left_foot", "right_foot")},
+        **{f"{foot}.cone.max_excess": 1e-6 for foot in ("left_foot", "right_foot")},
+        **{f"{foot}.motion.error": 5e-3 for foot in ("left_foot", "right_foot")},  # of m g: its dry joints creep
+        "joint.max_excess": 0,
+    },
+    "g1_line_foot": {  # on two toe edges, staggered by 15 cm
+        "balance.position.rms_error": 5e-4,
+        "base.tilt.max": 30.0,  # [deg]
+        "base.drop": 0.05,  # [m]
+        **{f"{foot}.lost": 0 for foot in ("left_foot", "right_foot")},
+        **{f"{foot}.slip": 2e-4 for foot in ("left_foot", "right_foot")},
+        **{f"{foot}.cone.max_excess": 1e-6 for foot in ("left_foot", "right_foot")},
+        **{f"{foot}.rest.error": 1e-4 for foot in ("left_foot", "right_foot")},
+        "joint.max_excess": 0,
+    },
     **{
         name: {
             "balance.position.rms_error": most,

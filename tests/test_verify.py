@@ -90,7 +90,7 @@ def test_other_arm_solver_and_gains(name, solver, changes):
 ARMS = [
     n
     for n in shipped_names("tasks", ".yaml")
-    if not n.startswith(("g1", "go2", "panda_dual")) and n not in ("eraser", "planar")
+    if not n.startswith(("g1", "go2", "panda_dual", "talos")) and n not in ("eraser", "planar")
 ]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import spec as specs
 from .analytic import damping_limit
-from .closing import CLOSED, Goal, close
+from .closing import CLOSED, Goal, Lying, close
 from .contact import Contact
 from .controller import Controller
 from .dynamics import mobility
@@ -31,6 +31,7 @@ from .model import open_welds
 from .names import check_names, load_robot
 from .phase import Phase, prioritised
 from .qp import Array
+from .ride import Ride
 from .robot import Robot
 from .sim import to_mujoco
 from .solver import Solver, make
@@ -56,6 +57,7 @@ class Built:
     phases: tuple[Phase, ...] = ()
     notes: list[str] = field(default_factory=list)
     masses: list[MassRange] = field(default_factory=list)
+    rides: Mapping[str, Ride] = field(default_factory=dict)  # how bodies of the scene move
 
 
 def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | None = None) -> Built:
@@ -70,7 +72,11 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     q_home = _start_joints(spec, robot, faults)
     geometry.at(q_home)
     faults.check()
-    notes = _check_followed(geometry)
+    rides = {
+        body: geometry.ride(path, robot.fixed_pose(body), ("plant", "paths", body))
+        for body, path in spec.plant.paths.items()
+    }
+    notes = _check_followed(geometry) + _unlimited(spec, robot)
     entries: Mapping[str, specs.Phase | None] = spec.phases or {"": None}
     first = replace(geometry, spec=_active(spec, next(iter(entries.values()))))
     q = _close(q_home, first.goals(q_home, *first.at(q_home)), robot, faults)
@@ -91,7 +97,7 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     masses = [each for phase in made for each in phase.masses]
     most = {name: limits for each in made for name, limits in each.damping_limits.items()}
     notes += controller.notes
-    return Built(spec, robot, controller, q, poles, margins, most, controller.phases, notes, masses)
+    return Built(spec, robot, controller, q, poles, margins, most, controller.phases, notes, masses, rides)
 
 
 def _start_joints(spec: specs.Spec, robot: Robot, faults: Faults) -> Array:
@@ -110,7 +116,7 @@ def _start_joints(spec: specs.Spec, robot: Robot, faults: Faults) -> Array:
     return q
 
 
-def _close(q: Array, goals: Sequence[Goal], robot: Robot, faults: Faults) -> Array:
+def _close(q: Array, goals: Sequence[Goal | Lying], robot: Robot, faults: Faults) -> Array:
     """The start pose moved onto the contacts and references; unmoved where there are faults."""
     if not goals:
         return q
@@ -157,6 +163,18 @@ def _check_followed(geometry: Geometry) -> list[str]:
         elif idle and reference.kind != "profile":
             along = ", ".join(VELOCITY_AXES[i] for i in sorted(idle))
             notes.append(f"{name}: nothing follows its motion along {along}")
+    return notes
+
+
+def _unlimited(spec: specs.Spec, robot: Robot) -> list[str]:
+    """Limits that are said to be the model's, and which it does not state."""
+    most = {"torque": robot.tau_max, "velocity": robot.v_max, "position": robot.q_max}
+    notes = list[str]()
+    for name, limit in most.items():
+        joints = [robot.joints[i] for i in np.flatnonzero(np.isinf(limit))]
+        if joints and getattr(spec.limits, name) == "model":
+            few = ", ".join(joints[:6]) + (f" and {len(joints) - 6} others" if len(joints) > 6 else "")
+            notes.append(f"limits.{name}: the model states none for {few}")
     return notes
 
 

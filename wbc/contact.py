@@ -23,6 +23,7 @@ from .footing import Footing
 from .friction import Cone, Unilateral
 from .pair import seen
 from .qp import Array, Rows
+from .ride import Ride
 from .robot import Frame, State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
@@ -92,7 +93,7 @@ class Contact(ABC):
     it does about motion against it, by default nothing. `footing`: the plane it stands on, off which it carries
     nothing. `steady`: its multipliers are forces along axes of its own, so that their cone never changes. `against`:
     the frame of another body that holds it, instead of the world; places and fixed axes of a contact are then told in
-    the axes of that frame.
+    the axes of that frame. `ride`: how its ground moves; by default it stands still.
     """
 
     frame: str
@@ -102,6 +103,7 @@ class Contact(ABC):
     pushes: Unilateral | None = None
     settling: Settling | None = None
     footing: Footing | None = None
+    ride: Ride | None = None
     steady = False
 
     @abstractmethod
@@ -114,7 +116,7 @@ class Contact(ABC):
 
     def seen(self, state: State) -> Frame:
         """Its frame as what holds it sees it."""
-        return seen(state, self.frame, self.against)
+        return seen(state, self.frame, self.against) if self.ride is None else self.ride.seen(state, self.frame)
 
     def free(self, state: State) -> Array:
         """(6 - k, 6) rows that pick the free motion."""

@@ -22,12 +22,13 @@ class Footing:
     """What a foot stands on, and with what: a plane with the unit normal n (world), and a sphere or a rectangle.
 
     Parameters: `normal` (3,) and the height `level` of the plane, n . p = level [m]; `radius` of a round foot about the
-    origin of its frame, or the `size` of a sole in the plane z = 0 of its frame, along x and y [m].
+    origin of its frame, or the `size` of a sole in the plane z = 0 of its frame, along x and y [m]. A size of 0 one way
+    makes an edge, which may be round as well.
     """
 
     def __init__(self, normal: Array, level: float, radius: float = 0.0, size: tuple[float, float] | None = None):
         self.normal, self.level, self.radius = np.array(normal, float), float(level), radius
-        self.size = size
+        self.size, self._edge = size, None if size is None or all(size) else int(np.argmax(size))
         self._lowest = self.level + radius
         self._half = (0.5 * size[0], 0.5 * size[1]) if size else (0.0, 0.0)
 
@@ -39,12 +40,14 @@ class Footing:
         return self.height(frame) > LIFTED
 
     def down(self, frame: Frame) -> Array:
-        """(6,) twist of the frame with which it goes back to the plane: straight down, and a sole turning flat."""
+        """(6,) twist of the frame with which it goes back to the plane: straight down and turning flat."""
         n = frame.R.T.dot(self.normal)
         speed = min(max(SLOWING * self.height(frame), SLOWEST), FASTEST)
         V = np.zeros(6)
         V[3:] = -speed * n
-        if self.size is not None:
+        if self._edge is not None:
+            V[:3] = -FLATTEN * n[self._edge] * np.cross(np.eye(3)[self._edge], n)  # about what is across it
+        elif self.size is not None:
             z = 1.0 if n[2] > 0.0 else -1.0
             V[:3] = FLATTEN * np.array((-z * n[1], z * n[0], 0.0))  # z x n: turns z into n
         return V

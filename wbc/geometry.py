@@ -15,8 +15,9 @@ from . import quantity
 from . import spec as specs
 from .axes import MOMENTUM_AXES
 from .centroidal import com, middle
-from .closing import Goal
+from .closing import Goal, Lying
 from .contact import AxesContact, Contact, MatrixContact, ScrewContact, Settling, SphereContact, WorldAxesContact
+from .edge import Edge, EdgeContact
 from .errors import ModelError
 from .faults import Faults, Place
 from .foot import RoundFoot
@@ -26,6 +27,7 @@ from .names import MOVING
 from .pair import movable, relative_axes, seen
 from .qp import Array
 from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, arc, constant, hold, quintic, ramp, sine
+from .ride import Ride
 from .robot import Robot
 from .surface import Sole
 from .transition import Reading
@@ -68,6 +70,9 @@ class Geometry:
                 rate = entry.settling if entry.settling is not None else SETTLING if self.robot.base else 0.0
                 contacts[name].settling = Settling(rate) if rate else None
                 contacts[name].footing = self._footing(name, entry)
+                if entry.rides is not None:
+                    place = self._on(name, entry, q)[0]
+                    contacts[name].ride = self.ride(entry.rides, place, ("contacts", name, "rides"))
             if name in contacts and entry.push is not None:
                 self._push(name, entry, entry.push, contacts[name], q)
         references: dict[str, Reference] = {}
@@ -100,10 +105,12 @@ class Geometry:
             self._check_axes(task.frame, () if task.axes == "all" else task.axes, ("tasks", name, "axes"))
         return contacts, references
 
-    def goals(self, q: Array, contacts: Mapping[str, Contact], references: Mapping[str, Reference]) -> list[Goal]:
+    def goals(
+        self, q: Array, contacts: Mapping[str, Contact], references: Mapping[str, Reference]
+    ) -> list[Goal | Lying]:
         """What the start pose must be closed onto; what is to stay where it starts asks for nothing."""
         robot, spec = self.robot, self.spec
-        goals: list[Goal] = []
+        goals: list[Goal | Lying] = []
         paths: dict[str, Reference] = {}
         for name, task in spec.tasks.items():
             if not isinstance(task, MOVING):
@@ -123,6 +130,15 @@ class Geometry:
                 T = paths[name](0.0).T if name in paths else T
                 goals.append(Goal(contact.frame, T, rows, ("contacts", name), to=contact.against))
         return goals
+
+    def ride(self, name: str, here: pin.SE3, path: Place) -> Ride:
+        """The motion of ground that is at `here` at the start."""
+        self.followed.setdefault(name, set()).update(range(6))
+        key = repr((name, self.spec.references[name], here.homogeneous.tobytes()))
+        if key not in self.made:
+            self.made[key] = Ride(self._path(name, here, path))
+        ride: Ride = self.made[key]
+        return ride
 
     def force(self, contact: str, axis: str, value: float | str) -> Scalar:
         """A number, or the motion along x of a reference, in newtons."""
@@ -248,15 +264,21 @@ class Geometry:
         """What a foot of a robot with a floating base stands on; None of what is held in another way."""
         ground = self._ground(name, entry)
         point = set(entry.constrained) == {"vx", "vy", "vz"}
-        if ground is None or not self.robot.base or not (point or entry.sole):
+        if ground is None or not self.robot.base or not (point or entry.sole or entry.edge):
             return None
         plane = self.robot.fixed_pose(ground)
-        n = plane.rotation[:, 2]
-        return Footing(n, float(n @ plane.translation), entry.radius or 0.0, entry.sole)
+        n, size = plane.rotation[:, 2], entry.sole
+        if entry.edge is not None:
+            size = (entry.edge, 0.0) if entry.along == 0 else (0.0, entry.edge)
+        return Footing(n, float(n @ plane.translation), entry.radius or 0.0, size)
 
-    def _standing(self, name: str, plane: pin.SE3, q: Array) -> Goal:
+    def _standing(self, name: str, plane: pin.SE3, q: Array) -> Goal | Lying:
         """That a contact's frame comes to stand on a plane: at its height, a sole with its z along the plane's."""
         contact = self.spec.contacts[name]
+        if contact.edge is not None:
+            n = plane.rotation[:, 2]
+            level = float(n @ plane.translation) + (contact.radius or 0.0)
+            return Lying(contact.frame, n, level, contact.along, ("contacts", name))
         here = self.robot.state(q, np.zeros(self.robot.nv)).frame(contact.frame).T
         n, z = plane.rotation[:, 2], here.rotation[:, 2]
         height = float(n @ (here.translation - plane.translation)) - (contact.radius or 0.0)
@@ -296,7 +318,9 @@ class Geometry:
         free = tuple(axis for axis in able if axis not in held)
         contact: Contact = AxesContact(entry.frame, held, free)
         ground = self._ground(name, entry) is not None
-        if entry.radius is not None or (ground and set(held) == {"vx", "vy", "vz"}):
+        if entry.edge is not None:
+            contact = EdgeContact(entry.frame, origin.rotation[:, 2], entry.along, entry.radius or 0.0)
+        elif entry.radius is not None or (ground and set(held) == {"vx", "vy", "vz"}):
             contact = RoundFoot(entry.frame, origin.rotation, entry.radius or 0.0)
         elif entry.in_ == "on" or (ground and entry.sole is None):
             contact = WorldAxesContact(entry.frame, held, origin.rotation, free)
@@ -318,12 +342,16 @@ class Geometry:
         state, friction = self.robot.state(q, np.zeros(self.robot.nv)), entry.coulomb
         key = "friction" if entry.feedforward == "modelled" else "pushes"
         origin, on = self._on(name, entry, q)
-        flat = on is not None and entry.surface is None and not isinstance(contact, RoundFoot)
+        flat = on is not None and entry.surface is None and not isinstance(contact, RoundFoot | EdgeContact)
         place = origin.rotation if flat else None
         if entry.sole is not None:
             with self.faults.at("contacts", name, "sole"):
                 assert friction is not None
                 contact.pushes = Sole(d, entry.sole, friction.mu, push.least, place)
+            return
+        if entry.edge is not None:
+            assert friction is not None
+            contact.pushes = Edge(entry.edge, entry.along, friction.mu, push.least)
             return
         with self.faults.at("contacts", name, key):
             if friction is None:

@@ -7,10 +7,9 @@ limits without a word.
 
 from __future__ import annotations
 
-import importlib.metadata
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +18,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from . import material
+from . import material, urdf
 from .errors import ModelError, ModelMismatch, did_you_mean
 from .qp import Array
 from .resources import shipped, shipped_names
@@ -34,7 +33,7 @@ AGREEMENT = 1e-8  # worst relative error of M, h, g, J, drift and pose at random
 def find(kind: str, name: str) -> Path:
     """The file of a robot, tool or scene given by shipped name, path, or `erd:NAME`. Raises ModelError."""
     if name.startswith("erd:"):
-        return _example_robot(name[4:])
+        return urdf.find_example(name[4:])
     path = Path(name).expanduser()
     if path.suffix:
         if path.is_file():
@@ -47,20 +46,6 @@ def find(kind: str, name: str) -> Path:
     )
 
 
-def _example_robot(name: str) -> Path:
-    """The URDF of that name in the package example-robot-data; `ur5` finds `ur5_robot`, `talos` `talos_reduced`."""
-    try:
-        package = importlib.metadata.distribution("example-robot-data")
-    except importlib.metadata.PackageNotFoundError:
-        message = f"erd:{name} needs the package example-robot-data: pip install 'wbc[robots]'"
-        raise ModelError(message) from None
-    files = {path.stem: path for path in map(Path, package.files or ()) if path.suffix == ".urdf"}
-    for stem in (name, f"{name}_robot", f"{name}_reduced"):
-        if stem in files:
-            return Path(str(package.locate_file(str(files[stem]))))
-    raise ModelError(f"example-robot-data has no robot {name!r}{did_you_mean(name, files)}")
-
-
 class Composition(NamedTuple):
     """One specification of robot, tool and scene; the robot's keyframes; the joints that are not the robot's."""
 
@@ -69,14 +54,24 @@ class Composition(NamedTuple):
     passive: tuple[str, ...]  # the scene's joints and the tool's without an actuator: a hinge, a wheel
 
 
-def compose(robot: str | Path, tool: str | None = None, scene: str | None = None) -> Composition:
+def compose(
+    robot: str | Path,
+    tool: str | None = None,
+    scene: str | None = None,
+    base: str | None = None,
+    feet: Mapping[str, urdf.Foot] | None = None,
+) -> Composition:
     """Robot, tool and scene put together.
+
+    Of a robot in URDF, `base` is "fixed" or "floating", and `feet` are by frame what it stands on (see `urdf`).
 
     The scene is the parent, so that its options hold; the robot stands at the world's origin or at the scene's site
     `robot`; the tool hangs on the robot's site `flange`. Position servos become motors. Equalities of the scene that
     name a site which is not there (of another tool) are left out.
     """
-    arm = _read(find("scenes/robots", str(robot)))
+    arm = _read(file := find("scenes/robots", str(robot)), base)
+    if file.suffix == ".urdf":
+        urdf.add_feet(arm, feet or {})
     keys = {key.name: np.array(key.qpos, float) for key in arm.keys}
     for key in list(arm.keys):
         arm.delete(key)
@@ -167,36 +162,14 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
     return model
 
 
-def _read(path: Path) -> mujoco.MjSpec:
+def _read(path: Path, base: str | None = None) -> mujoco.MjSpec:
+    if base is not None and path.suffix != ".urdf":
+        raise ModelError("`base` is for URDF: an MJCF file says it by a free joint; expected none")
     try:
         with _composing():
-            return _read_urdf(path) if path.suffix == ".urdf" else mujoco.MjSpec.from_file(str(path))
+            return urdf.read(path, base) if path.suffix == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, RuntimeError, OSError, ET.ParseError) as error:
         raise ModelError(f"{path}: {error}") from error
-
-
-def _read_urdf(path: Path) -> mujoco.MjSpec:
-    """URDF through MuJoCo: shapes are dropped (meshes in foreign formats), limits of velocity are carried over."""
-    root = ET.parse(path).getroot()
-    for link in root.iter("link"):
-        for shape in [*link.findall("visual"), *link.findall("collision")]:
-            link.remove(shape)
-    for extension in root.findall("mujoco"):
-        root.remove(extension)
-    ET.SubElement(
-        ET.SubElement(root, "mujoco"), "compiler", strippath="false", fusestatic="false", balanceinertia="true"
-    )
-    spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
-    spec.nuser_jnt = max(spec.nuser_jnt, 1)
-    velocity = {
-        joint.get("name"): limit.get("velocity") for joint in root.iter("joint") for limit in joint.findall("limit")
-    }
-    for joint in spec.joints:
-        if velocity.get(joint.name):
-            joint.userdata = [float(velocity[joint.name] or 0.0)]
-        actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.gainprm[0] = 1.0
-    return spec
 
 
 def _torque_motors(spec: mujoco.MjSpec) -> None:

@@ -13,6 +13,7 @@ from .errors import ModelError, ModelMismatch, SpecError, did_you_mean
 from .faults import Faults, Place
 from .model import find
 from .robot import Robot
+from .urdf import Foot
 
 MOVING = (specs.MotionTask, specs.ImpedanceTask, specs.AdmittanceTask)
 
@@ -31,14 +32,27 @@ def load_robot(spec: specs.Spec, faults: Faults) -> Robot:
                 files[key] = _file(spec, kind, name)
     faults.check()
     try:
-        robot = Robot.load(files["robot"], files.get("tool"), files.get("scene"), spec.gravity, name=spec.robot)
+        places = files["robot"], files.get("tool"), files.get("scene")
+        robot = Robot.load(*places, spec.gravity, spec.robot, spec.base, _feet(spec))
     except ModelError as error:
-        faults.add((_blamed(files),), _told(error))
+        faults.add(("base",) if "`base`" in str(error) else (_blamed(files),), _told(error))
     else:
         if robot.nv:
             return robot
         faults.add(("robot",), "it has no joint; expected a robot that can move")
     raise SpecError(faults.found)
+
+
+def _feet(spec: specs.Spec) -> dict[str, Foot]:
+    """What stands, by frame, as its contact says."""
+    feet = {}
+    for contact in spec.contacts.values():
+        size = contact.sole or (0.0, 0.0)
+        if contact.edge is not None:
+            size = (contact.edge, 0.0) if contact.along == 0 else (0.0, contact.edge)
+        if any(size) or contact.radius is not None:
+            feet[contact.frame] = Foot(size, contact.radius or 0.0)
+    return feet
 
 
 def _file(spec: specs.Spec, kind: str, name: str) -> str:
@@ -57,7 +71,7 @@ def _blamed(files: Mapping[str, str]) -> str:
         if key in files:
             given[key] = files[key]
             try:
-                Robot.load(**given)
+                Robot.load(given["robot"], given.get("tool"), given.get("scene"))
             except ModelError:
                 return key
     return "robot"
@@ -66,7 +80,7 @@ def _blamed(files: Mapping[str, str]) -> str:
 def _told(error: ModelError) -> str:
     """MuJoCo's complaints have line breaks, and do not say what they expected."""
     message = " ".join(str(error).split())
-    if isinstance(error, ModelMismatch) or "flange" in message:
+    if isinstance(error, ModelMismatch) or "flange" in message or "; expected" in message:
         return message
     return f"{message}; expected MJCF or URDF that MuJoCo accepts"
 
@@ -111,6 +125,8 @@ def check_names(spec: specs.Spec, robot: Robot, faults: Faults) -> None:
         names.frame(push.frame, ("plant", "pushes", name, "frame"), moves=True, body=True)
     for body in spec.plant.moves:
         names.mocap(body, ("plant", "moves", body))
+    for body in spec.plant.paths:
+        names.carried(body, ("plant", "paths", body))
     if spec.start is not None:
         names.pose(spec.start, ("start",))
     for limit in ("torque", "torque_rate", "velocity", "acceleration"):
@@ -185,6 +201,16 @@ class _Names:
         if name not in known:
             hint = did_you_mean(name, known) or '; expected one with mocap="true", of which the scene has none'
             self.faults.add(path, f"no mocap body named {name!r}{hint}")
+
+    def carried(self, name: str, path: Place) -> None:
+        """A body of the scene that moves freely in the simulator, and is at rest for the controller."""
+        mj = self.robot.plant
+        joints = range(0 if mj is None else mj.njnt)
+        known = [mj.body(int(mj.jnt_bodyid[joint])).name for joint in joints if mj.jnt_type[joint] == 0]
+        known = [body for body in known if not self.robot.model.frames[self.robot.frame_id(body)].parentJoint]
+        if name not in known:
+            hint = did_you_mean(name, known) or "; expected one with a free joint, of which the scene has none"
+            self.faults.add(path, f"no body named {name!r} that moves freely{hint}")
 
     def pose(self, pose: str | Mapping[str, float], path: Place, *more: str) -> None:
         known = [*self.robot.keyframes, *more]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import mujoco
@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from .axes import WRENCH_AXES
 from .qp import Array
+from .ride import Ride
 
 
 class Outside:
@@ -19,8 +20,9 @@ class Outside:
     `wrenches` name -> (6,) what the environment applies to the robot, at the frame and in its axes, in the last step.
     """
 
-    def __init__(self, model: mujoco.MjModel, plant: Any) -> None:
+    def __init__(self, model: mujoco.MjModel, plant: Any, rides: Mapping[str, Ride] | None = None) -> None:
         self.model = model
+        self.rides = [_Carried(model, body, ride) for body, ride in (rides or {}).items()]
         self.pushes = dict(plant.pushes) if plant is not None else {}
         self.moves = dict(plant.moves) if plant is not None else {}
         self._courses = {name: _courses(push.wrench) for name, push in self.pushes.items()}
@@ -29,6 +31,8 @@ class Outside:
 
     def push(self, data: mujoco.MjData) -> None:
         """The forces of this step; in MuJoCo they act at a body's centre of mass, so the moment is moved there."""
+        for ride in self.rides:
+            ride.drive(data)
         if not self.pushes:
             return
         data.xfrc_applied[:] = 0.0
@@ -43,11 +47,46 @@ class Outside:
             data.xfrc_applied[body, 3:] += R @ F[:3] + pin.skew(p - data.xipos[body]) @ f
 
     def move(self, data: mujoco.MjData) -> None:
+        for ride in self.rides:
+            ride.move(data)
         for body, move in self.moves.items():
             index = self.model.body(body).id
             along = np.array(move.along) / np.linalg.norm(np.array(move.along))
             shift = sines(move.sine)(data.time - move.from_) if data.time >= move.from_ else 0.0
             data.mocap_pos[self.model.body_mocapid[index]] = self._home[index] + shift * along
+
+
+class _Carried:
+    """A body with a free joint on its path: put there with its velocity at every step, and driven by what that takes.
+
+    A mocap body would have no velocity in MuJoCo, and what stands on it would slip. It should be far heavier than
+    whatever stands on it.
+    """
+
+    def __init__(self, model: mujoco.MjModel, body: str, ride: Ride) -> None:
+        joint = model.body_jntadr[model.body(body).id]
+        self.model, self.ride = model, ride
+        self._q = slice(model.jnt_qposadr[joint], model.jnt_qposadr[joint] + 7)
+        self._v = slice(model.jnt_dofadr[joint], model.jnt_dofadr[joint] + 6)
+        at, turn = model.qpos0[self._q][:3], np.empty(9)
+        mujoco.mju_quat2Mat(turn, model.qpos0[self._q][3:])
+        self._home = pin.SE3(turn.reshape(3, 3), at.copy())
+        self._qacc, self._needed = np.zeros(model.nv), np.zeros(model.nv)
+
+    def move(self, data: mujoco.MjData) -> None:
+        """Pose, velocity and acceleration of this step."""
+        T = self.ride.displacement(data.time) * self._home
+        (w, v), (wdot, vdot) = (each.reshape(2, 3) for each in self.ride.motion(data.time, T).T)
+        quaternion, q = np.empty(4), data.qpos[self._q]
+        mujoco.mju_mat2Quat(quaternion, T.rotation.ravel())
+        q[:3], q[3:] = T.translation, quaternion
+        data.qvel[self._v] = np.concatenate((T.rotation @ v, w))
+        self._qacc[self._v] = np.concatenate((T.rotation @ (vdot + np.cross(w, v)), wdot))
+
+    def drive(self, data: mujoco.MjData) -> None:
+        """M qacc and what else acts, on its own six velocities."""
+        mujoco.mj_mulM(self.model, data, self._needed, self._qacc)
+        data.qfrc_applied[self._v] = (self._needed + data.qfrc_bias - data.qfrc_passive)[self._v]
 
 
 def sines(sine: Any) -> Callable[[float], float]:

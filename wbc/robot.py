@@ -15,6 +15,7 @@ from . import kernels
 from . import model as models
 from .errors import ModelError, NameNotFound
 from .qp import Array
+from .urdf import Foot
 
 _Source = tuple[Array, Array, Array, Array, Array, Array, Array]  # of `kernels.frame`
 _NO_STARTS: Mapping[Any, Any] = {}  # never written to
@@ -47,7 +48,7 @@ class Frame:
 class Terms:
     """Pinocchio's storage for a robot, and views of what a tick reads of it, made once: each costs as much as its use.
 
-    `held`: contact -> its storage; `pairs`: (frame, to) -> the first seen from the second.
+    `held`: contact -> its storage; `pairs`: (frame, what it is seen from) -> how.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -58,7 +59,7 @@ class Terms:
         self.count = 0  # states computed so far
         self.frames: dict[str, Frame] = {}
         self.held: dict[Any, Any] = {}
-        self.pairs: dict[tuple[str, str], Any] = {}
+        self.pairs: dict[tuple[str, Any], Any] = {}
 
     @cached_property
     def mass(self) -> float:
@@ -214,13 +215,22 @@ class Robot:
 
     @classmethod
     def load(
-        cls, robot: str, tool: str | None = None, scene: str | None = None, gravity: str = "controller", name: str = ""
+        cls,
+        robot: str,
+        tool: str | None = None,
+        scene: str | None = None,
+        gravity: str = "controller",
+        name: str = "",
+        base: str | None = None,
+        feet: Mapping[str, Foot] | None = None,
     ) -> Robot:
         """A robot with its tool, in its scene, from shipped names, paths or `erd:NAME`.
 
+        Of a URDF `base` is "fixed" or "floating" (None: floating where an SRDF beside it gives `root_joint` a pose),
+        and `feet` tell by frame what the simulator has it stand on, as shapes are dropped.
         Raises ModelError for files that cannot be used, ModelMismatch when MuJoCo and Pinocchio disagree.
         """
-        composed = models.compose(robot, tool, scene)
+        composed = models.compose(robot, tool, scene, base, feet)
         plant = mj = models.compile_model(composed.spec)
         if composed.passive:
             mj = models.compile_model(models.lock(composed))
@@ -230,16 +240,16 @@ class Robot:
         q_min, q_max = _position_limits(mj)
         keyframes = {"home": mj.qpos0} | {name: qpos for name, qpos in composed.keys.items() if qpos.size == mj.nq}
         damping = np.array([np.ravel(d)[0] for d in mj.dof_damping]) if mj.nv else np.zeros(0)
-        base = _floating(model)
+        floating = _floating(model)
         return cls(
             name=name or str(robot),
             model=model,
             joints=_driven(model),
-            tau_min=low[base:],
-            tau_max=high[base:],
-            q_min=q_min[base:],
-            q_max=q_max[base:],
-            v_max=_velocity_limits(mj)[base:],
+            tau_min=low[floating:],
+            tau_max=high[floating:],
+            q_min=q_min[floating:],
+            q_max=q_max[floating:],
+            v_max=_velocity_limits(mj)[floating:],
             keyframes={name: models.to_pinocchio(mj, qpos, np.zeros(mj.nv))[0] for name, qpos in keyframes.items()},
             gravity=gravity,
             damping=damping if damping.any() else None,
@@ -247,7 +257,7 @@ class Robot:
             plant=plant,
             model_error=error,
             has_scene=scene is not None,
-            base=base,
+            base=floating,
         )
 
     @classmethod

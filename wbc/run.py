@@ -78,7 +78,7 @@ def run(
     spec, controller = built.spec, built.controller
     dt = controller.dt
     ticks = max(1, round(spec.duration * spec.rate))
-    simulator = Simulator(built.robot, built.q, dt, spec.plant, seed)
+    simulator = Simulator(built.robot, built.q, dt, spec.plant, seed, built.rides)
     log = Log(ticks, _meta(built, seed))
     controller.reset(built.q, np.zeros(built.robot.nv))
     if spec.tare:

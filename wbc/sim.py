@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import mujoco
@@ -17,6 +17,7 @@ from .errors import ModelError, SimulationError
 from .model import body_name, quietly, to_pinocchio
 from .outside import Outside, carried, has_site
 from .qp import Array
+from .ride import Ride
 from .robot import Robot, State
 from .wrench import ForceSensor, Wrench
 
@@ -53,10 +54,18 @@ class Simulator:
 
     Parameters: the robot (it is not changed), the start `q`, the control period `dt` [s], `plant`: what only the
     simulator knows (payload [kg], mass_error, joint_friction [N m], contact_friction, armature [kg m^2], delay [ticks],
-    noise, pushes on the robot, moves of mocap bodies), and the seed of the noise.
+    noise, pushes on the robot, moves of mocap bodies), the seed of the noise, `rides`: how bodies of the scene move.
     """
 
-    def __init__(self, robot: Robot, q: Array, dt: float, plant: Any = None, seed: int = 0) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        q: Array,
+        dt: float,
+        plant: Any = None,
+        seed: int = 0,
+        rides: Mapping[str, Ride] | None = None,
+    ) -> None:
         if robot.mujoco is None:
             raise ModelError("only a robot that was loaded from a file can be simulated")
         self.robot, self.dt = robot, dt
@@ -74,7 +83,7 @@ class Simulator:
         self._sensor = ForceSensor(robot) if all(_has_sensor(self.model, name) for name in SENSORS) else None
         self._motors = _actuators(self.model, self._own_v[robot.base :])
         self._driver = robot.model.createData()
-        self._outside = Outside(self.model, plant)
+        self._outside = Outside(self.model, plant, rides)
         self.true_state = self._state()  # (q, v) that was last observed, without the noise of encoders
 
     def observe(self) -> Observation:
@@ -219,7 +228,7 @@ class Simulator:
 
     def true_com(self) -> Array:
         """(3,) the robot's centre of mass at the last tick, in the world."""
-        moving = self.model.body_weldid > 0
+        moving = self.robot.mujoco.body_weldid > 0  # the plant has bodies of the scene that move as well
         return np.asarray(np.average(self.data.xipos[moving], axis=0, weights=self.model.body_mass[moving]))
 
     def true_slip(self, frame: str) -> Array:

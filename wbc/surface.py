@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from .contact import Contact
     from .robot import State
 
-_PARTS = {"push": PUSH, "friction": FRICTION, "pressure": PRESSURE, "yaw": YAW}
-
 
 class SoleCone(Cone):
     """What a sole asks of its multipliers at a tick: rows (17, k) lambda >= least, the push first, `up` in its middle.
@@ -27,6 +25,8 @@ class SoleCone(Cone):
     """
 
     __slots__ = ()
+
+    parts: ClassVar = {"push": PUSH, "friction": FRICTION, "pressure": PRESSURE, "yaw": YAW}
 
     def cut(self, lam: Array) -> tuple[Array, str]:
         """(k,) the multipliers with the least push or more, the rest of them scaled into the cone; what cut them."""
@@ -40,7 +40,7 @@ class SoleCone(Cone):
         away = N - push
         s = float(np.min(push[away < 0.0] / -away[away < 0.0], initial=1.0))
         lam = self.up * N[0] + (lam - self.up * N[0]) * max(s, 0.0)
-        return lam, next(name for name, part in _PARTS.items() if (N[part] < -1e-12).any())
+        return lam, next(name for name, part in self.parts.items() if (N[part] < -1e-12).any())
 
 
 class Sole(Unilateral):
@@ -60,7 +60,7 @@ class Sole(Unilateral):
         m = len(self._wrenches)
         self._least = np.concatenate(([least], np.zeros(m - 1)))
         self._most = np.full(m, np.inf)
-        self._labels = tuple(part for part, rows in _PARTS.items() for _ in range(rows.stop - rows.start))
+        self._labels = tuple(part for part, rows in SoleCone.parts.items() for _ in range(rows.stop - rows.start))
 
     def hold(
         self, contact: Contact, state: State, A: Array, G: Array, inverse: Array

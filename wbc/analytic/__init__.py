@@ -76,7 +76,7 @@ from .second_order import (
     natural_frequency,
     step_response,
 )
-from .surface import corner_forces_map, surface_cone
+from .surface import corner_forces_map, edge_cone, surface_cone
 
 __all__ = [
     "Array",
@@ -97,6 +97,7 @@ __all__ = [
     "damping_limit",
     "damping_ratio",
     "dynamically_consistent_inverse",
+    "edge_cone",
     "exp3",
     "exp6",
     "force_bias",

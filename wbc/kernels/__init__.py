@@ -4,7 +4,7 @@ Plain loops over small dense arrays; the theory is told where they are called. S
 """
 
 from .algebra import gauss, inverse, mobility, within
-from .contact import carried, height, rolling, select, settle, share, wanted
+from .contact import carried, edge, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
 from .limit import braking_bounds, torque_window
 from .motion import computed_torque, frame, log, point_target, pose_errors, relative, shift
@@ -19,6 +19,7 @@ __all__ = [
     "braking_bounds",
     "carried",
     "computed_torque",
+    "edge",
     "equations",
     "feedback",
     "frame",

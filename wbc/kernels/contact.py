@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from .compiled import NOTHING, Array, F, M, V, compiled, m, v
+from .compiled import COUNT, NOTHING, Array, F, M, V, compiled, m, v
 
 
 @compiled(NOTHING, m, m, M, V)
@@ -42,6 +44,49 @@ def rolling(
     for i in range(3):
         Adot_V[i] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z
     select(basis, table, out, bias)
+
+
+@compiled(NOTHING, v, m, COUNT, F, m, M, V)
+def edge(n: Array, R: Array, along: int, radius: float, table: Array, basis: Array, Adot_V: Array) -> None:
+    """Of a straight edge on a plane with the normal n, its frame at R: A, then the free row, and Adot V.
+
+    The edge is the frame's axis `along` (0: x, 1: y), and the axis of a cylinder of `radius`. `basis` (6, 6), its rows
+    in the order of the axes that are held, is told in the axes of the edge: z is n, the edge lies along x or y.
+    """
+    V = table[:, table.shape[1] - 1]
+    up = n[0] * R[0, along] + n[1] * R[1, along] + n[2] * R[2, along]  # of the edge, which should lie in the plane
+    flat = max(math.sqrt(max(1.0 - up * up, 0.0)), 1e-9)
+    E, X = np.empty((3, 3)), np.empty((3, 3))  # rows: the axes of the edge in the world, and in the frame
+    for i in range(3):
+        E[along, i], E[2, i] = (R[i, along] - up * n[i]) / flat, n[i]
+    other, sign = 1 - along, 1.0 if along == 1 else -1.0  # x = y x z, y = -(x x z)
+    e = E[along]
+    E[other, 0] = sign * (e[1] * n[2] - e[2] * n[1])
+    E[other, 1] = sign * (e[2] * n[0] - e[0] * n[2])
+    E[other, 2] = sign * (e[0] * n[1] - e[1] * n[0])
+    for i in range(3):
+        for j in range(3):
+            X[i, j] = E[i, 0] * R[0, j] + E[i, 1] * R[1, j] + E[i, 2] * R[2, j]
+    w, v, a = np.zeros(3), np.zeros(3), np.zeros(3)  # w, v and w x v in the axes of the edge
+    for i in range(3):
+        for j in range(3):
+            w[i] += X[i, j] * V[j]
+            v[i] += X[i, j] * V[3 + j]
+        a[i] += X[i, 0] * (V[1] * V[5] - V[2] * V[4])
+        a[i] += X[i, 1] * (V[2] * V[3] - V[0] * V[5])
+        a[i] += X[i, 2] * (V[0] * V[4] - V[1] * V[3])
+    basis[:] = 0.0
+    for j in range(3):
+        basis[0, j], basis[1, j], basis[5, j] = X[other, j], X[2, j], X[along, j]
+        basis[2, j], basis[3, j] = -radius * X[1, j], radius * X[0, j]  # w x (-r n)
+        for i in range(3):
+            basis[2 + i, 3 + j] = X[i, j]
+    turning = w[2] - w[along] * up / flat  # of the axes of the edge, about n
+    Adot_V[0] = sign * turning * w[along]
+    Adot_V[1] = 0.0
+    Adot_V[2] = turning * (v[1] + radius * w[0]) + a[0]
+    Adot_V[3] = -turning * (v[0] - radius * w[1]) + a[1]
+    Adot_V[4] = a[2]
 
 
 @compiled(F, m, v, v, F, F, F)

@@ -53,7 +53,9 @@ _IN_PHASES = ("contacts", "tasks", "limits", "references")
 def disagreements(spec: Spec, left_out: LeftOut, check: Callable[[Any, LeftOut], list[Message]]) -> list[Message]:
     """At most MAX_FAULTS + 1 faults; `check` gives those of a changed tree."""
     found = list(
-        islice(chain(_of_contacts(spec, left_out), _of_tasks(spec, left_out), _of_plant(spec)), MAX_FAULTS + 1)
+        islice(
+            chain(_of_contacts(spec, left_out), _of_tasks(spec, left_out), _of_plant(spec, left_out)), MAX_FAULTS + 1
+        )
     )
     phases = _of_phases(spec, left_out, lambda tree: [each for each in check(tree, left_out) if each not in found])
     return found + list(islice(phases, MAX_FAULTS + 1 - len(found)))
@@ -69,6 +71,8 @@ def _unknown(name: str, spec: Spec, section: str, left_out: LeftOut) -> str | No
 
 def _of_contacts(spec: Spec, left_out: LeftOut) -> Iterator[Message]:
     for name, contact in spec.contacts.items():
+        if contact.rides is not None and (message := _unknown(contact.rides, spec, "references", left_out)):
+            yield ("contacts", name, "rides"), message
         for axis, target in contact.targets.items():
             if isinstance(target, str) and (message := _unknown(target, spec, "references", left_out)):
                 under = ("wrench",) if axis in WRENCH_AXES and contact.natural is None else ()
@@ -131,8 +135,11 @@ def _of_body_motion(task: RelativeTask | MomentumTask, spec: Spec, left_out: Lef
             yield (key,), f"expected {len(axes)} {expected} ({', '.join(axes)}), got {len(gain)}"
 
 
-def _of_plant(spec: Spec) -> Iterator[Message]:
-    """A push is a name in the log, beside those of contacts and tasks."""
+def _of_plant(spec: Spec, left_out: LeftOut) -> Iterator[Message]:
+    """A push is a name in the log, beside those of contacts and tasks; bodies move on references."""
+    for body, path in spec.plant.paths.items():
+        if message := _unknown(path, spec, "references", left_out):
+            yield ("plant", "paths", body), message
     for name in spec.plant.pushes:
         for kind, known in (("contact", spec.contacts), ("task", spec.tasks)):
             if name in known:

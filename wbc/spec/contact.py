@@ -144,14 +144,19 @@ class Contact(OneOf):
     sole: Sole | None = Field(
         default=None, description="length along x and width along y of a flat sole, its middle the frame [m]"
     )
+    edge: Positive | None = Field(
+        default=None,
+        description="length of a straight edge, its middle the frame, along x or y: that about which it turns [m]",
+    )
     radius: Positive | None = Field(
-        default=None, description="of a round foot that rolls, its centre the frame; else a point [m]"
+        default=None, description="of a round foot or edge that rolls, its centre the frame; else a point or line [m]"
     )
     ground: Text | None = Field(
         default=None,
         description="frame of the scene on whose plane z = 0 it stands, wherever the start has it; floor, where there "
         "is one, for what pushes on a robot with a floating base",
     )
+    rides: Name | None = Field(default=None, description="the reference by which its ground moves from where it is")
     settling: NonNegative | None = Field(
         default=None, description="damping of motion against it; 20 on a robot with a floating base, else 0 [1/s]"
     )
@@ -211,6 +216,11 @@ class Contact(OneOf):
         return self.free_axes if self.natural is not None or self.free is not None else None
 
     @property
+    def along(self) -> int:
+        """Number of the axis of the frame that its edge lies along: 0 or 1."""
+        return 1 if "wx" in self.constrained else 0
+
+    @property
     def push(self) -> Unilateral | None:
         """`pushes` in full."""
         return Unilateral(along=self.pushes) if isinstance(self.pushes, str) else self.pushes
@@ -243,6 +253,11 @@ class Contact(OneOf):
                 bound = f"at {'most' if pushed < 0 else 'least'} {pushed * self.push.least:g}"
                 message = f"{target:g} N is less than the least push along {side}; expected {bound}"
                 yield ("artificial", *under, force), message
+        if self.rides is not None and self.motion_targets:
+            message = (
+                "its ground moves, and a motion drawn on it does not follow; expected no target of motion beside it"
+            )
+            yield ("rides",), message
         yield from self._standing()
         if self.with_ == self.frame:
             yield ("with",), f"{self.frame!r} is the frame itself; expected one of another body"
@@ -255,14 +270,17 @@ class Contact(OneOf):
             yield ("feedforward",), f"modelled friction is that of sliding, but {message}"
 
     def _standing(self) -> Iterator[Message]:
-        """Soles hold all and push along z with friction of four faces; round feet hold a point."""
-        for key in ("sole", "radius", "ground"):
+        """Soles hold all, edges all but a turn, with friction of four faces; round feet hold a point."""
+        for key in ("sole", "edge", "radius", "ground"):
             if getattr(self, key) is not None and self.push is None:
                 yield (key,), "it only pushes; expected `pushes: -z` beside it"
         if self.ground is not None and self.on is not None:
             yield ("ground",), "it closes on one frame of the scene; expected either `on` or `ground`"
         if self.radius is not None and self.sole is not None:
             yield ("radius",), "a sole is flat; expected either `sole` or `radius`"
+        if self.edge is not None:
+            yield from self._on_edge()
+            return
         if self.radius is not None and (self.kind != "holds" or set(self.constrained) != {"vx", "vy", "vz"}):
             yield ("radius",), "a round foot holds a point; expected `holds: [vx, vy, vz]`"
         if self.radius is not None and self.push is not None and self.push.along != "-z":
@@ -276,17 +294,25 @@ class Contact(OneOf):
             yield ("sole",), "a sole holds every axis; expected `holds: all`"
         if self.push is not None and self.push.along[-1] != "z":
             yield ("sole",), f"a sole pushes along z; expected `pushes: -z`, got {self.push.along}"
+        yield from self._four_faces("sole", "a sole", "corners")
+
+    def _on_edge(self) -> Iterator[Message]:
+        """An edge holds all but the turn about itself, along x or y of its frame."""
+        if self.sole is not None:
+            yield ("edge",), "a sole has edges of its own; expected either `sole` or `edge`"
+        held = ("wx", "wz", "vx", "vy", "vz"), ("wy", "wz", "vx", "vy", "vz")
+        if self.kind != "holds" or self.constrained not in held:
+            yield ("edge",), f"an edge along y turns about it; expected `holds: [{', '.join(held[0])}]`, or wy along x"
+        if self.push is not None and self.push.along != "-z":
+            yield ("edge",), f"an edge pushes along -z of its plane; expected `pushes: -z`, got {self.push.along}"
+        yield from self._four_faces("edge", "an edge", "ends")
+
+    def _four_faces(self, key: str, what: str, ends: str) -> Iterator[Message]:
         if self.friction is None:
-            yield ("sole",), "a sole needs its friction; expected `friction: MU` beside it"
-        if (
-            isinstance(self.friction, Friction)
-            and self.friction.faces != 4
-            and "faces" in self.friction.model_fields_set
-        ):
-            yield (
-                ("friction", "faces"),
-                f"the corners of a sole have 4 faces each; expected 4, got {self.friction.faces}",
-            )
+            yield (key,), f"{what} needs its friction; expected `friction: MU` beside it"
+        given = self.friction if isinstance(self.friction, Friction) else None
+        if given is not None and given.faces != 4 and "faces" in given.model_fields_set:
+            yield ("friction", "faces"), f"the {ends} of {what} have 4 faces each; expected 4, got {given.faces}"
 
     def _of_surface(self) -> Iterator[Message]:
         """A surface holds the frame along its normal, and leaves one motion on it."""

@@ -25,6 +25,7 @@ from .task import Task
 
 MAX_ENTRIES = 200
 Law = Literal["compensated", "book"]
+Base = Literal["fixed", "floating"]
 Gravity = Literal["controller", "robot"]
 Hierarchy = Literal["weighted", "strict"]
 _BY_NAME = (("references",), ("contacts",), ("tasks",), ("phases",))
@@ -35,6 +36,9 @@ class Spec(Model):
 
     title: str = Field(default="", description="what is shown above the pictures")
     robot: Text = Field(description="the name of a shipped robot, a path, or erd:NAME")
+    base: Base | None = Field(
+        default=None, description="how a URDF stands in the world; else floating where its SRDF has a root_joint"
+    )
     tool: Text | None = Field(default=None, description="the name of a shipped tool, or a path")
     scene: Text | None = Field(default=None, description="the name of a shipped scene, or a path")
     rate: Number = Field(default=1000.0, ge=1, le=10_000, description="control rate [Hz]")

@@ -84,6 +84,12 @@ class Plant(Model):
     pushes: dict[Name, Push] = Field(default={}, max_length=50, description="wrenches on the robot, by name")
     moves: dict[Text, Move] = Field(default={}, max_length=50, description="how mocap bodies of the scene are moved")
 
+    paths: dict[Text, Name] = Field(
+        default={},
+        max_length=50,
+        description="the references on which bodies of the scene move, each with a free joint",
+    )
+
     def _faults(self) -> Iterable[Message]:
         if self.payload_at is not None and not self.payload:
             yield ("payload_at",), "there is no payload; expected a mass in payload, or no payload_at"
