@@ -132,6 +132,8 @@ SPECS: dict[str, dict[str, float]] = {
 # pushes of 0.1 s that are survived in eight directions: N s forwards and backwards, sideways; between them an ellipse
 PUSHES = {"go2_push": (16.0, 12.0), "g1_push": (8.0, 13.0)}
 
+REDUNDANT_REFUSED = 0  # of 3 000 ticks on 8 points of two soles, rank 12 of 24
+
 # every run, whatever its spec says
 ALWAYS = {"torque.max_excess": 1e-6, "torque_rate.max_excess": 1e-3, "ticks.degraded": 0}
 
