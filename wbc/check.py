@@ -61,18 +61,26 @@ def check(spec: Spec) -> Report:
     out = controller.step(0.0, built.q, np.zeros(built.robot.nv))
     # references begin at rest: a torque that reaches its limit here cannot even hold the robot where it is
     held = not any(name.startswith("torque[") for name in out.active) and "yield" not in out.reason
-    feasible = out.status in (Status.OK, Status.LIMITED) and held
+    near = _too_near(controller)
+    feasible = out.status in (Status.OK, Status.LIMITED) and held and not near
+    reason = "; ".join([out.reason] * bool(out.reason) + [f"too near at the start: {pair}" for pair in near])
     return Report(
         Path(spec.file).stem,
         built.robot.model_error,
         feasible,
-        out.reason,
+        reason,
         built.poles,
         built.damping_margins,
         built.damping_limits,
         built.notes,
         built.masses,
     )
+
+
+def _too_near(controller: Controller) -> list[str]:
+    """Pairs of bodies that start nearer than they may."""
+    collision = controller.phase.collision
+    return [] if collision is None else collision.too_near(controller.state)
 
 
 def _without_rate(phase: Phase) -> Phase:

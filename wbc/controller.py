@@ -89,7 +89,8 @@ class Controller:
     """A whole-body contact controller.
 
     Parameters: the robot; `contacts` name -> Contact; `tasks` name -> Task, or (Task, weight); `limits` with the keys
-    `torque`, `torque_rate`, `position`, `velocity`, `acceleration` (a number or (nu,), "model", or None); `solver`: a
+    `torque`, `torque_rate`, `position`, `velocity`, `acceleration` (a number or (nu,), "model", or None) and
+    `self_collision` (a distance [m], or a mapping: `SelfCollision`); `solver`: a
     name or an object with `solve(problem)`; `rate` [Hz]. `from_spec` makes one from YAML. Everything wrong with these
     raises here, a WbcError that says what; nothing raises later.
     """
@@ -367,7 +368,9 @@ class Controller:
         status, reason, good = Status.OK, "", memory.good + 1
         if active or refused or yielded:
             status = Status.LIMITED
-            told = ["joint limits yield: nothing satisfies them within the torque limits"] if yielded else []
+            told = []
+            if yielded:
+                told = [f"{program.gave_way(solution.x)} yield: nothing satisfies them within the torque limits"]
             reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
         if good < GOOD_TICKS or missed >= MISSED_DEGRADED:
             status = Status.DEGRADED

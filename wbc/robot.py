@@ -197,6 +197,7 @@ class Robot:
     _ids: dict[str, int] = field(default_factory=dict, init=False, repr=False)
     _maps: dict[tuple[str, str], Array | None] = field(default_factory=dict, init=False, repr=False)
     _axes: dict[str, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
+    _pairs: list[Any] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.gravity not in ("controller", "robot"):
@@ -337,6 +338,14 @@ class Robot:
                 "expected one fixed to the world"
             )
         return frame.placement.copy()
+
+    def pairs(self) -> Any:
+        """The shapes that can meet one another (`collision.Pairs`), found once."""
+        from .collision import find_pairs
+
+        if not self._pairs:
+            self._pairs.append(find_pairs(self))
+        return self._pairs[0]
 
     def inertia_below(self, frame_name: str) -> pin.Inertia:
         """Inertia, in that frame, of everything that the body which carries `frame_name` holds up."""
