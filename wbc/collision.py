@@ -28,8 +28,8 @@ from .robot import Robot, State, Terms
 KIND = mujoco.mjtGeom
 DECELERATION = 2.0  # a [m/s^2]
 BUILD_UP = 0.01  # a/j [s]
-ROWS = 16  # most rows at a tick, those of the smallest distances
-AHEAD = 0.05  # [m] beyond d_min, and the way to brake, at which a pair is looked at
+ROWS = 16  # most rows at a tick, those of the least distances after the way to brake
+FASTER = 1.5  # [m/s] a pair is looked at that would have to brake if it closed so much faster than it does
 MEETING = 0.1  # [m] two shapes that are never seen nearer are no pair,
 POSES = 1000  # in as many random poses
 
@@ -92,7 +92,7 @@ class SelfCollision:
             raise ModelError("limits.self_collision: no two shapes of the robot can meet; expected a robot with some")
         self.distance, self.rows = distance, rows
         a, j = deceleration, deceleration / BUILD_UP
-        self._law = np.array([distance, a, max(2.0 * a * a / j, a * SETTLE), -0.1 * a, j, AHEAD, SETTLE])
+        self._law = np.array([distance, a, max(2.0 * a * a / j, a * SETTLE), -0.1 * a, j, SETTLE, FASTER])
         model = robot.model
         self._moves, self._idle = np.zeros((model.njoints, model.nv)), np.zeros(model.nv)
         self._idle[-1] = 1.0

@@ -63,13 +63,14 @@ def _placed(poses: Array, joint: Ints, place: Array, R: Array, p: Array) -> None
 
 @_inner
 def _keep(
-    d: float, a: int, b: int, x: Array, y: Array, m: int, tangents: Array, owners: Ints,
-    count: int, dist: Array, which: Ints, points: Array, along: Array,
+    d: float, stop: float, a: int, b: int, x: Array, y: Array, m: int, tangents: Array, owners: Ints,
+    count: int, rank: Array, dist: Array, which: Ints, points: Array, along: Array,
 ) -> int:  # fmt: skip
-    """Put one distance, of points x on shape a and y on b, into the list of the nearest, sorted; how many it holds."""
+    """Put one distance, of points x on shape a and y on b, into the list of the most urgent, sorted by what is left
+    of it after the way to `stop`; how many it holds."""
     most = dist.size
     at = count
-    while at > 0 and dist[at - 1] > d:
+    while at > 0 and rank[at - 1] > d - stop:
         at -= 1
     if at >= most:
         return count
@@ -79,13 +80,13 @@ def _keep(
             return count
     count = min(count + 1, most)
     for i in range(count - 1, at, -1):
-        dist[i] = dist[i - 1]
+        rank[i], dist[i] = rank[i - 1], dist[i - 1]
         for k in range(5):
             which[i, k] = which[i - 1, k]
         for k in range(3):
             points[i, 0, k], points[i, 1, k] = points[i - 1, 0, k], points[i - 1, 1, k]
             along[i, 0, k], along[i, 1, k] = along[i - 1, 0, k], along[i - 1, 1, k]
-    dist[at] = d
+    rank[at], dist[at] = d - stop, d
     which[at, 0], which[at, 1], which[at, 2] = a, b, m
     which[at, 3], which[at, 4] = owners[0], owners[1]
     for k in range(3):
@@ -96,8 +97,8 @@ def _keep(
 
 @_inner
 def _corners(
-    a: int, b: int, first: int, R: Array, p: Array, half: Array, radius: float, reach: float,
-    count: int, dist: Array, which: Ints, points: Array, along: Array,
+    a: int, b: int, first: int, R: Array, p: Array, half: Array, radius: float, reach: float, stop: float,
+    count: int, rank: Array, dist: Array, which: Ints, points: Array, along: Array,
 ) -> int:  # fmt: skip
     """Corners of core a against core b; `first` is 0 where a is the first of the pair, 1 where it is the second.
 
@@ -149,16 +150,16 @@ def _corners(
         if abs(d) < _NOTHING or d - radius > reach:
             continue
         if first == 0:
-            count = _keep(d - radius, a, b, v, y, m, tangents, owners, count, dist, which, points, along)
+            count = _keep(d - radius, stop, a, b, v, y, m, tangents, owners, count, rank, dist, which, points, along)
         else:
-            count = _keep(d - radius, b, a, y, v, m, tangents, owners, count, dist, which, points, along)
+            count = _keep(d - radius, stop, b, a, y, v, m, tangents, owners, count, rank, dist, which, points, along)
     return count
 
 
 @_inner
 def _edges(
-    a: int, b: int, R: Array, p: Array, half: Array, radius: float, reach: float,
-    count: int, dist: Array, which: Ints, points: Array, along: Array,
+    a: int, b: int, R: Array, p: Array, half: Array, radius: float, reach: float, stop: float,
+    count: int, rank: Array, dist: Array, which: Ints, points: Array, along: Array,
 ) -> int:  # fmt: skip
     """Edges of core a against edges of core b, where both nearest points are inside."""
     x, y = np.empty(3), np.empty(3)
@@ -201,25 +202,27 @@ def _edges(
                 d = math.sqrt(square)
                 if d < _NOTHING or d - radius > reach:
                     continue
-                count = _keep(d - radius, a, b, x, y, 2, tangents, owners, count, dist, which, points, along)
+                count = _keep(
+                    d - radius, stop, a, b, x, y, 2, tangents, owners, count, rank, dist, which, points, along
+                )
     return count
 
 
 @_inner
 def _pair(
-    a: int, b: int, R: Array, p: Array, half: Array, radius: Array, reach: float,
-    count: int, dist: Array, which: Ints, points: Array, along: Array,
+    a: int, b: int, R: Array, p: Array, half: Array, radius: Array, reach: float, stop: float,
+    count: int, rank: Array, dist: Array, which: Ints, points: Array, along: Array,
 ) -> int:  # fmt: skip
     """All distances of one pair of shapes that are within reach."""
     both = radius[a] + radius[b]
     point_a = half[a, 0] + half[a, 1] + half[a, 2] < _NOTHING
     point_b = half[b, 0] + half[b, 1] + half[b, 2] < _NOTHING
     if point_a or not point_b:  # of a point and a core the point says all
-        count = _corners(a, b, 0, R, p, half, both, reach, count, dist, which, points, along)
+        count = _corners(a, b, 0, R, p, half, both, reach, stop, count, rank, dist, which, points, along)
     if not point_a:
-        count = _corners(b, a, 1, R, p, half, both, reach, count, dist, which, points, along)
+        count = _corners(b, a, 1, R, p, half, both, reach, stop, count, rank, dist, which, points, along)
         if not point_b:
-            count = _edges(a, b, R, p, half, both, reach, count, dist, which, points, along)
+            count = _edges(a, b, R, p, half, both, reach, stop, count, rank, dist, which, points, along)
     return count
 
 
@@ -378,15 +381,15 @@ def keep_apart(
     `poses` (joints, 12): R by columns, then p; `v`, `a` (joints, 6): twists, and accelerations at vdot = 0, in the
     joints' axes, linear first; `J` (6, nv): the world's columns at its origin, linear first; `moves` (joints, nv): 1
     for those that move a joint; `idle` (nv,): a row that is not used, and asks nothing. Shapes: joint, place [R | p],
-    half lengths, radius, and the radius of a sphere about all of it. `law`: distance to keep, a, l, the way back, j, how
-    far ahead a pair is looked at even at rest, T. `told` (rows, 3): d, ddot and drift.
+    half lengths, radius, and the radius of a sphere about all of it. `law`: distance to keep, a, l, the way back, j, T,
+    and the speed [m/s] beyond its own with which a pair is looked at. `told` (rows, 3): d, ddot and drift.
     """
     shapes, rows, nv = joint.size, dist.size, G.shape[1]
     R, p = np.empty((shapes, 3, 3)), np.empty((shapes, 3))
     ends, around, moving = np.empty((shapes, 2, 3)), np.empty(shapes), np.empty((shapes, 4))
     _placed(poses, joint, place, R, p)
     _sticks(R, p, half, radius, ends, around)
-    margin, brake, lead, back, jerk, ahead, settle = law[0], law[1], law[2], law[3], law[4], law[5], law[6]
+    margin, brake, lead, back, jerk, settle, ahead = law[0], law[1], law[2], law[3], law[4], law[5], law[6]
     V = np.empty(9)
     for g in range(shapes):  # velocity of its middle, and what turning adds at most
         _twists(joint[g], poses, v, V)
@@ -394,7 +397,8 @@ def keep_apart(
             k1, k2 = (k + 1) % 3, (k + 2) % 3
             moving[g, k] = V[3 + k] + V[k1] * (p[g, k2] - V[6 + k2]) - V[k2] * (p[g, k1] - V[6 + k1])
         moving[g, 3] = bound[g] * math.sqrt(V[0] ** 2 + V[1] ** 2 + V[2] ** 2)
-    close, gaps, order = 0, np.empty((pairs.shape[0], 2)), np.empty(pairs.shape[0], np.int64)
+    close, room, rank = 0, 4 * rows, np.empty(rows)
+    gaps, order = np.empty((room, 3)), np.empty(room, np.int64)
     for i in range(pairs.shape[0]):
         first, second = pairs[i, 0], pairs[i, 1]
         speed, middle = 0.0, 0.0
@@ -402,7 +406,8 @@ def keep_apart(
             speed += (moving[first, k] - moving[second, k]) ** 2
             middle += (p[first, k] - p[second, k]) ** 2
         speed = math.sqrt(speed) + moving[first, 3] + moving[second, 3]
-        reach = margin + ahead + ((speed + lead) ** 2 - lead * lead) / (2.0 * brake)  # w of it is that speed
+        stop = ((speed + lead) ** 2 - lead * lead) / (2.0 * brake)  # w of it is that speed
+        reach = margin + ((speed + ahead + lead) ** 2 - lead * lead) / (2.0 * brake)
         if math.sqrt(middle) - bound[first] - bound[second] > reach:
             continue
         gap = _between(first, second, ends) - around[first] - around[second]
@@ -410,20 +415,26 @@ def keep_apart(
             gap = max(gap, _outside(first, second, R, p, half) - radius[first] - bound[second])
             gap = max(gap, _outside(second, first, R, p, half) - radius[second] - bound[first])
         if gap < reach:
-            at, close = close, close + 1
-            while at > 0 and gaps[at - 1, 0] > gap:
-                gaps[at, 0], gaps[at, 1], order[at] = gaps[at - 1, 0], gaps[at - 1, 1], order[at - 1]
+            at = close
+            while at > 0 and gaps[at - 1, 0] > gap - stop:
                 at -= 1
-            gaps[at, 0], gaps[at, 1], order[at] = gap, reach, i
+            close = min(close + 1, room)
+            for k in range(close - 1, at, -1):
+                gaps[k, 0], gaps[k, 1], gaps[k, 2], order[k] = (
+                    gaps[k - 1, 0],
+                    gaps[k - 1, 1],
+                    gaps[k - 1, 2],
+                    order[k - 1],
+                )
+            if at < room:
+                gaps[at, 0], gaps[at, 1], gaps[at, 2], order[at] = gap - stop, reach, stop, i
     count = 0
-    for i in range(close):  # the nearest first: what is farther than all that there is room for is not looked at
-        reach = gaps[i, 1]
-        if count == rows:
-            if gaps[i, 0] >= dist[rows - 1]:
-                break
-            reach = min(reach, dist[rows - 1])
+    for i in range(close):  # the most urgent first; of what is less so than all that there is room for nothing is kept
+        if count == rows and gaps[i, 0] >= rank[rows - 1]:
+            break
+        reach, stop = gaps[i, 1], gaps[i, 2]
         first, second = pairs[order[i], 0], pairs[order[i], 1]
-        count = _pair(first, second, R, p, half, radius, reach, count, dist, which, points, along)
+        count = _pair(first, second, R, p, half, radius, reach, stop, count, rank, dist, which, points, along)
     n, moment_x, moment_y = np.empty(3), np.empty(3), np.empty(3)
     for i in range(rows):
         if i >= count:
