@@ -177,7 +177,7 @@ def test_verify_and_compare() -> None:
     assert set(certificate["laws"]) == {"compensated", "book"}
     worst = {"max_tau_error", "max_vdot_error", "max_lambda_error", "max_kkt_residual"}
     assert all(worst <= set(law) for law in certificate["laws"].values())
-    table = said("compare", "planar", "--solvers", "daqp,proxqp", "--set", "duration=0.02")
+    table = said("compare", "planar", "--solvers", "daqp,proxqp", "--set", "duration=0.02", "--set", "hierarchy=strict")
     assert table["problems"] > 0
     assert set(table["solvers"]) == {"daqp", "proxqp"}
     figures = {"solved", "wrong", "max_tau_error", "max_kkt_residual", "us"}

@@ -218,6 +218,11 @@ def test_bad_input_is_said(recorded):
         compare(recorded[:1], [])
 
 
+def test_strict_levels_are_no_one_problem():
+    with pytest.raises(ProblemError, match="expected hierarchy: weighted"):
+        record(build(wbc.load("eraser", (*SHORT, "hierarchy=strict"))))
+
+
 def test_compare_tells_progress(recorded):
     told = []
     compare(recorded[:25], ["daqp"], passes=2, progress=told.append)

@@ -24,7 +24,7 @@ class _At:
     """A frame at a pose."""
 
     def __init__(self, T):
-        self.T = T
+        self.T, self.R, self.p = T, T.rotation, T.translation
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from wbc.build import build
 from wbc.controller import Controller, Status
 from wbc.errors import LawError
-from wbc.hierarchy import Level, level, null_space, solve
+from wbc.hierarchy import Level, level, shortest, solve
 from wbc.qp import Problem, Rows, Variables
 from wbc.reference import hold
 from wbc.robot import Robot
@@ -161,13 +161,18 @@ def test_contradicting_equalities_are_said():
     assert "contradict" in solution.reason
 
 
-def test_null_space(rng):
-    A = rng.normal(size=(4, 9))
-    A[3] = A[0] - A[1]
-    Z = null_space(A)
-    assert Z.shape == (9, 6)
-    np.testing.assert_allclose(A @ Z, 0.0, atol=1e-13)
-    np.testing.assert_allclose(Z.T @ Z, np.eye(6), atol=1e-13)
+@pytest.mark.parametrize(
+    ("m", "n", "rank"), [(4, 9, 4), (4, 9, 3), (9, 4, 4), (9, 4, 2), (5, 5, 5), (3, 6, 0), (0, 3, 0)]
+)
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_shortest(rng, m, n, rank, size):
+    """As numpy's singular values have it, whatever the rank."""
+    A, b = size * rng.normal(size=(m, rank)) @ rng.normal(size=(rank, n)), rng.normal(size=m)
+    x, Z = shortest(A, b)
+    assert Z.shape == (n, n - rank)
+    np.testing.assert_allclose(x, np.linalg.lstsq(A, b, rcond=1e-10)[0], rtol=1e-9, atol=1e-11 / size)
+    np.testing.assert_allclose(A @ Z, 0.0, atol=1e-12 * size)
+    np.testing.assert_allclose(Z.T @ Z, np.eye(n - rank), atol=1e-13)
 
 
 # --- in the tick ---

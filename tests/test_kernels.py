@@ -207,9 +207,18 @@ def test_how_contacts_share_a_wrench(rng, layout):
     np.testing.assert_allclose(1.0 / weight, A**2 @ np.repeat([0.05**2, 1.0], 3), rtol=1e-13)
     np.testing.assert_allclose(S, (P / weight) @ P.T, rtol=1e-12, atol=1e-13)
     bias, start, D = rng.normal(size=6), rng.normal(size=9), np.empty((9, 6))
-    lam = start.copy()
-    kernels.share(*layout(push, weight, np.linalg.inv(S), bias), D, lam)
+    lam, M_b, moved = start.copy(), rng.normal(size=(6, 11)), np.empty((9, 11))
+    kernels.share(*layout(push, weight, np.linalg.inv(S), M_b, bias), D, lam, moved)
+    np.testing.assert_allclose(moved, D @ M_b, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(P @ D, np.eye(6), atol=1e-9)
     np.testing.assert_allclose(P @ lam, -bias, atol=1e-9)
     away = weight * (lam - start)  # in the rows of P: orthogonal to what moves nothing
     np.testing.assert_allclose(away, P.T @ np.linalg.lstsq(P.T, away, rcond=None)[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("rank", [0, 1, 4, 7])
+def test_root(rng, layout, rank):
+    B, R = rng.normal(size=(rank, 7)) * np.logspace(0, -3, 7), np.empty((7, 7))
+    assert kernels.root(*layout(B.T @ B), 1e-13, R) == rank
+    np.testing.assert_allclose(R[:rank].T @ R[:rank], B.T @ B, atol=1e-13)
+    np.testing.assert_array_equal(R[rank:], 0.0)

@@ -163,36 +163,46 @@ class DistributionTask:
 
     def __init__(self, shares: Mapping[str, float] | None = None) -> None:
         self.shares = dict(shares or {})
+        self._made: tuple[tuple[str, ...], list[int], dict[str, Array | None]] = ((), [], {})
         if any(not share >= 0.0 for share in self.shares.values()):
             raise GainError(f"shares: expected 0 or more of each, got {self.shares}")
 
     def rows(self, state: State, among: Sequence[str] | None = None) -> Rows:
         """Rows over `vdot` and the multipliers; `among`: the contacts that share, by default all."""
-        contacts, names = state.contacts, state.contacts if among is None else among
-        begun = state.starts.get(self)
+        contacts, begun = state.contacts, state.starts.get(self)
+        names = tuple(contacts if among is None else among)
         fade = 1.0 if begun is None else min(max((state.t - begun.t) / FADE, 0.0), 1.0)
         held = [contacts[name] for name in names]
         push = np.concatenate([each.push for each in held])
-        k = len(push)
-        weight, S, D, lam, one = np.empty(k), np.empty((6, 6)), np.empty((k, 6)), np.zeros(k), np.eye(k)
+        k, n = push.shape
+        weight, S, D, lam, moved = np.empty(k), np.empty((6, 6)), np.empty((k, 6)), np.zeros(k), np.empty((k, n))
         # a row of A is a unit force, or a unit moment
         kernels.carried(push, np.concatenate([each.A for each in held]), SOLE_RADIUS, weight, S)
-        A: dict[str, Array | None] = {}
-        start = 0
-        for name, each in zip(names, held, strict=True):
-            own = slice(start, start + each.G.shape[0])
-            if share := self.shares.get(name, 0.0):
-                f = share * mass(state) * state.frame(each.frame).T.rotation.T.dot(state.robot.model.gravity.linear)
-                lam[own] = fade * each.inverse[:, 3:].dot(f)
-            if begun is not None and fade < 1.0 and (before := begun.loads.get(name)) is not None:
-                lam[own] += (1.0 - fade) * before
-            A[name] = one[:, own]
-            start = own.stop
-        kernels.share(push, weight, inertia(S), state.bias, D, lam)
+        A = self._columns(names, [len(each.G) for each in held])
+        if self.shares or fade < 1.0:
+            start = 0
+            for name, each in zip(names, held, strict=True):
+                own = slice(start, start + len(each.G))
+                if share := self.shares.get(name, 0.0):
+                    f = share * mass(state) * state.frame(each.frame).R.T.dot(state.robot.model.gravity.linear)
+                    lam[own] = fade * each.inverse[:, 3:].dot(f)
+                if begun is not None and fade < 1.0 and (before := begun.loads.get(name)) is not None:
+                    lam[own] += (1.0 - fade) * before
+                start = own.stop
+        kernels.share(push, weight, inertia(S), state.M[:6], state.bias, D, lam, moved)
         for name in contacts.keys() - A.keys():
             A[name] = D.dot(contacts[name].push[:, :6].T)
-        A["vdot"] = D.dot(state.M[:6])
-        return Rows("", A, lam, lam, one * (weight / mass(state)))
+        A["vdot"] = moved
+        metric = np.zeros((k, k))
+        metric.flat[:: k + 1] = weight / mass(state)
+        return Rows("", A, lam, lam, metric)
+
+    def _columns(self, names: tuple[str, ...], sizes: list[int]) -> dict[str, Array | None]:
+        """What picks the multipliers of each contact from those of all."""
+        if self._made[:2] != (names, sizes):
+            one, last = np.eye(sum(sizes)), np.cumsum([0, *sizes])
+            self._made = (names, sizes, {name: one[:, last[i] : last[i + 1]] for i, name in enumerate(names)})
+        return dict(self._made[2])
 
 
 class WholeBodyPosture(PostureTask):

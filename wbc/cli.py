@@ -142,7 +142,7 @@ def compare(specs: tuple[str, ...], solvers: str, overrides: tuple[str, ...], as
             raise WbcError(f"--solvers {solvers!r} names none; expected `all` or some of {', '.join(installed())}")
         recorded = []
         for name in names:
-            loaded = _load(name, overrides)
+            loaded = _load(name, overrides, hierarchy="weighted")  # strict levels are several problems a tick
             with _progress(f"record {name}", round(loaded.duration * loaded.rate)) as progress:
                 recorded += comparison.record(build(loaded), progress=progress)
         with _progress("compare", len(recorded)) as progress:

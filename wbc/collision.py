@@ -18,8 +18,9 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from .distance import keep_apart, meet
 from .errors import GainError, ModelError
+from .kernels.distance import meet, nearest
+from .kernels.limit import apart
 from .limit import SETTLE
 from .model import body_name
 from .qp import Array, Rows
@@ -117,11 +118,12 @@ class SelfCollision:
         """Put the bounds of a tick in rows where they stand."""
         store, shapes = self._store(state), self.pairs.shapes
         A: Any = rows.A
-        store.count = keep_apart(
-            store.poses, store.v, store.a, state.terms.J, self._moves, self._idle, dt, shapes.joint, shapes.place,
+        store.count = nearest(
+            store.poses, store.v, store.a, state.terms.J, self._moves, self._idle, shapes.joint, shapes.place,
             shapes.half, shapes.radius, shapes.bound, self.pairs.pairs, self._law,
-            store.dist, store.which, store.points, store.along, store.told, A["vdot"], rows.lo,
+            store.dist, store.which, store.points, store.along, store.told, A["vdot"],
         )  # fmt: skip
+        apart(store.told, self._law, dt, rows.lo)
 
     def told(self, state: State, dt: float = 1e-3) -> tuple[Rows, Array, list[str]]:
         """Rows, (d, ddot, drift) of each and the names of the pairs, as they are at a state."""

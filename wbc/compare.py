@@ -57,10 +57,12 @@ def record(built: Built, every: int | None = None, most: int = 200, progress: Pr
     """Simulate a built spec and keep problems that it meets, in order of time.
 
     Half of at most `most` are spread evenly over the run (`every` n ticks, or more), half over the ticks at which
-    a limit is active. `progress` is told the number of ticks done.
+    a limit is active. `progress` is told the number of ticks done. Raises ProblemError for strict priorities.
     """
     from .run import run
 
+    if built.spec.hierarchy == "strict":
+        raise ProblemError("strict levels are several problems a tick; expected hierarchy: weighted")
     controller, half = built.controller, max(1, most // 2)
     every = max(every or 1, math.ceil(built.spec.duration * built.spec.rate / half))
     even, limited = _Spread(every, half), _Spread(1, half)

@@ -21,7 +21,7 @@ from .errors import WrenchError
 from .footing import Footing
 from .friction import Cone, Unilateral
 from .qp import Array, Rows
-from .robot import State
+from .robot import Frame, State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 _ZERO, _ZEROS = np.zeros(3), np.zeros(6)
@@ -144,9 +144,9 @@ class Contact(ABC):
         return self._hold(state, A, free, self.pseudo_inverse(A), np.concatenate((A, free)), self.Adot_V(state))
 
     def _hold(self, state: State, A: Array, free: Array, inverse: Array, basis: Array, Adot_V: Array | None) -> Held:
-        held = self._storage(state, len(basis))
-        kernels.select(basis, state.frame(self.frame).table, held.table, held.bias)
-        return self._demand(state, held, A, free, inverse, Adot_V)
+        held, frame = self._storage(state, len(basis)), state.frame(self.frame)
+        kernels.select(basis, frame.table, held.table, held.bias)
+        return self._demand(state, held, frame, A, free, inverse, Adot_V)
 
     def _storage(self, state: State, rows: int = 6) -> Held:
         """What was held at the last tick, to be filled again."""
@@ -155,13 +155,14 @@ class Contact(ABC):
             held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, rows)
         return held
 
-    def _demand(self, state: State, held: Held, A: Array, free: Array, inverse: Array, Adot_V: Array | None) -> Held:
+    def _demand(
+        self, state: State, held: Held, frame: Frame, A: Array, free: Array, inverse: Array, Adot_V: Array | None
+    ) -> Held:
         """The rest of what is held, once its rows are selected."""
-        if self.footing is not None:
-            frame = state.frame(self.frame)
-            held.lifted = self.footing.lifted(frame)
-        if held.lifted:
-            held.rhs -= self.footing.asked(A, frame)  # type: ignore[union-attr]
+        footing = self.footing
+        held.lifted = footing is not None and footing.lifted(frame)
+        if footing is not None and held.lifted:
+            held.rhs -= footing.asked(A, frame)
             if Adot_V is not None:
                 held.rhs -= Adot_V
         elif self.settling is not None:

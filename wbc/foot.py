@@ -33,7 +33,7 @@ class RoundFoot(WorldAxesContact):
         frame, held, basis = state.frame(self.frame), self._storage(state), np.empty((6, 6))
         inverse, Adot_V = np.empty((3, 6)), np.empty(3)
         kernels.rolling(self._R, frame.R, self.radius, frame.table, basis, inverse, Adot_V, held.table, held.bias)
-        return self._demand(state, held, basis[:3], basis[3:], inverse, Adot_V)
+        return self._demand(state, held, frame, basis[:3], basis[3:], inverse, Adot_V)
 
     def pseudo_inverse(self, A: Array) -> Array:
         """(3, 6) the force alone tells the multipliers: whatever it acts on, its moment follows."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from . import kernels
 from .qp import Array
 
 if TYPE_CHECKING:
@@ -27,21 +28,19 @@ class Footing:
     def __init__(self, normal: Array, level: float, radius: float = 0.0, size: tuple[float, float] | None = None):
         self.normal, self.level, self.radius = np.array(normal, float), float(level), radius
         self.size = size
+        self._lowest = self.level + radius
+        self._half = (0.5 * size[0], 0.5 * size[1]) if size else (0.0, 0.0)
 
     def height(self, frame: Frame) -> float:
         """How far the lowest point of the foot is above the plane [m]."""
-        height = float(self.normal.dot(frame.T.translation)) - self.level - self.radius
-        if self.size is None:
-            return height
-        a = frame.T.rotation.T.dot(self.normal)  # corner points: a . (+-l/2, +-w/2, 0), the lowest of them
-        return height - 0.5 * (abs(float(a[0])) * self.size[0] + abs(float(a[1])) * self.size[1])
+        return kernels.height(frame.R, frame.p, self.normal, self._lowest, *self._half)
 
     def lifted(self, frame: Frame) -> bool:
         return self.height(frame) > LIFTED
 
     def down(self, frame: Frame) -> Array:
         """(6,) twist of the frame with which it goes back to the plane: straight down, and a sole turning flat."""
-        n = frame.T.rotation.T.dot(self.normal)
+        n = frame.R.T.dot(self.normal)
         speed = min(max(SLOWING * self.height(frame), SLOWEST), FASTEST)
         V = np.zeros(6)
         V[3:] = -speed * n

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from . import kernels
 from .qp import UNCERTIFIED, Array, Certificate, Problem, Rows, Variables
 from .solver import TOLERANCE, Solution, Solver, answer
 
@@ -26,6 +27,7 @@ RANK = 1e-9  # singular values below this part of the largest row move nothing
 # Towards the last iterate, of a level's largest curvature, and room given to the inequalities, relative: the next where
 # no solver has an answer.
 TRIES = ((1e-4, 0.0), (1e-3, 0.0), (1e-2, 0.0), (1e-3, 1e-8), (1e-3, 1e-7))
+INSIDE = 1e-11  # rounding allowed where nothing bends a level, relative
 STEPS = 100  # most iterations of a level; two to four are usual
 SETTLED = 1e-10  # change of a level's residual, relative, at which it is at its optimum
 
@@ -42,23 +44,22 @@ def level(costs: Sequence[tuple[Rows, float]], variables: Variables) -> Level:
     """One level from weighted rows. A row of an interval keeps its own scale: its metric must be diagonal."""
     A, lo, hi = [], [], []
     for rows, weight in costs:
-        dense = np.zeros((rows.lo.size, variables.size))
+        equal, m = rows.lo is rows.hi, rows.lo.size
+        metric = np.eye(m) if rows.metric is None else rows.metric
+        R = np.sqrt(weight) * (_root(metric) if equal else np.diag(np.sqrt(metric.diagonal())))
+        dense = np.zeros((len(R), variables.size))
         for name, block in rows.A.items():
-            dense[:, variables[name]] = np.eye(rows.lo.size) if block is None else block
-        root = np.sqrt(weight) * (np.eye(rows.lo.size) if rows.metric is None else _root(rows.metric))
-        A.append(root @ dense)
-        lo.append(root @ rows.lo if rows.lo is rows.hi else root.diagonal() * rows.lo)
-        hi.append(lo[-1] if rows.lo is rows.hi else root.diagonal() * rows.hi)
+            dense[:, variables[name]] = R if block is None else R.dot(block)
+        A.append(dense)
+        lo.append(R.dot(rows.lo) if equal else R.diagonal() * rows.lo)  # it may be infinite
+        hi.append(lo[-1] if equal else R.diagonal() * rows.hi)
     return Level(np.concatenate(A), np.concatenate(lo), np.concatenate(hi))
 
 
 def _root(W: Array) -> Array:
-    """(m, m) R with R'R = W, for W positive semidefinite."""
-    if not np.any(W - np.diag(W.diagonal())):
-        return np.diag(np.sqrt(W.diagonal()))
-    values, vectors = np.linalg.eigh(0.5 * (W + W.T))
-    values[values < 1e-13 * values[-1]] = 0.0  # rounding, whose root would not be small
-    return np.asarray(np.sqrt(values)[:, None] * vectors.T)
+    """R with R'R = W, for W positive semidefinite."""
+    R = np.empty(W.shape)
+    return R[: kernels.root(W, 1e-13, R)]  # what is less is rounding, whose root would not be small
 
 
 class _Free:
@@ -67,8 +68,7 @@ class _Free:
     def __init__(self, problem: Problem) -> None:
         n, n_eq, self.rows = problem.g.size, problem.n_eq, problem.lo.size
         E, e = problem.C[:n_eq], problem.lo[n : n + n_eq]
-        self.x = np.asarray(np.linalg.lstsq(E, e, rcond=None)[0] if n_eq else np.zeros(n), float)
-        self.Z = null_space(E) if n_eq else np.eye(n)
+        self.x, self.Z = shortest(E, e)
         self.gap = float(np.abs(E @ self.x - e).max(initial=0.0))  # of equalities that contradict one another
         C, lo, hi = (
             np.concatenate((np.eye(n), problem.C[n_eq:])),
@@ -81,8 +81,26 @@ class _Free:
 
     def decide(self, rows: Array) -> None:
         """Keep what these rows make of x."""
-        if self.Z.shape[1] and rows.size:
-            self.Z = self.Z @ null_space(rows @ self.Z, np.abs(rows).max())
+        if self.Z.shape[1] and len(rows):
+            self.Z = self.Z @ shortest(rows @ self.Z, np.zeros(len(rows)), np.abs(rows).max())[1]
+
+    def descend(self, A: Array, b: Array, level: Level, tolerance: Certificate) -> Certificate | None:
+        """Go to the least |A x - b| and keep it. None, and nothing is done, where that breaks an inequality."""
+        B = A @ self.Z
+        r = b - A @ self.x
+        z, N = shortest(B, r, np.abs(A).max(initial=0.0))
+        x = self.x + self.Z @ z
+        at, own = self.C @ x, level.A @ x
+        slack = INSIDE * (1.0 + np.abs(at))
+        within = (at >= self.lo - slack).all() and (at <= self.hi + slack).all()
+        soft = level.lo != level.hi
+        if not (within and (own >= level.lo)[soft].all() and (own <= level.hi)[soft].all()):
+            return None
+        found = Certificate(self.gap, float(np.linalg.norm((B @ z - r) @ B)), 0.0)
+        if not found.holds(tolerance):
+            return None
+        self.x, self.Z = x, self.Z @ N
+        return found
 
     def bind(self, A: Array, lo: Array, hi: Array) -> None:
         """More inequalities; x as it stands satisfies them to rounding, which is allowed for."""
@@ -107,11 +125,16 @@ def _without(bound: Array, n: int, n_eq: int) -> Array:
     return np.concatenate((bound[:n], bound[n + n_eq :]))
 
 
-def null_space(A: Array, scale: float | None = None) -> Array:
-    """(n, n - rank) orthonormal basis of what A maps to nothing; `scale`: the size that its rank is judged by."""
-    _, strength, V = np.linalg.svd(A)
-    largest = scale if scale is not None else float(strength.max(initial=0.0))
-    return np.asarray(V[int((strength > RANK * max(largest, 1e-300)).sum()) :].T)
+def shortest(A: Array, b: Array, scale: float | None = None) -> tuple[Array, Array]:
+    """The shortest x (n,) of the least |A x - b|, and (n, n - rank) an orthonormal basis of what A maps to nothing.
+
+    `scale`: the size that its rank is judged by, by default the largest number of A.
+    """
+    n = A.shape[1]
+    x, N = np.empty(n), np.empty((n, n))
+    size = float(np.abs(A).max(initial=0.0)) if scale is None else scale
+    rank = kernels.least_squares(A, b, RANK * max(size, 1e-300), x, N)
+    return x, N[: n - rank].T
 
 
 def solve(
@@ -127,10 +150,16 @@ def solve(
     """
     free, worst, left = _Free(problem), Certificate(0.0, 0.0, 0.0), list[Array]()
     z = np.zeros(problem.lo.size)
+    if not all(np.isfinite(rows.A).all() and not np.isnan((rows.lo, rows.hi)).any() for rows in levels):
+        return _refused("a coefficient of the problem is not finite"), left
     if not free.gap <= tolerance.primal:
         return _refused(f"hard equalities contradict one another by {free.gap:.1e}"), left
     for number, rows in enumerate(levels):
-        if free.Z.shape[1]:
+        hard = rows.lo == rows.hi
+        found = free.descend(rows.A[hard], rows.lo[hard], rows, tolerance)
+        if found is not None:
+            worst = Certificate(*map(max, worst, found))
+        elif free.Z.shape[1]:
             for (pull, room), one in product(TRIES, solvers):
                 solution = _optimum(free, rows, pull, room, one, tolerance)
                 if solution.accepted:
@@ -143,11 +172,12 @@ def solve(
                     return _refused(f"level 1: {solution.reason}"), left
         at = rows.A @ free.x
         off = np.where(at > rows.hi, at - rows.hi, np.where(at < rows.lo, at - rows.lo, 0.0))
-        left.append(np.where(rows.lo == rows.hi, at - rows.lo, off))
-        decided = (rows.lo == rows.hi) | (np.abs(off) > 1e-9 * (1.0 + np.abs(at)))
+        left.append(np.where(hard, at - rows.lo, off))
+        decided = hard | (np.abs(off) > 1e-9 * (1.0 + np.abs(at)))
         free.settle()
         free.bind(rows.A[~decided], rows.lo[~decided], rows.hi[~decided])
-        free.decide(rows.A[decided])
+        if found is None:
+            free.decide(rows.A[decided])
     return Solution(free.x, z, worst, True), left
 
 
@@ -173,8 +203,7 @@ def _optimum(free: _Free, rows: Level, pull: float, room: float, solver: Solver,
     moves, binding, least, most = free.inequalities(room)
     m, total = len(binding), np.zeros(free.rows)
     if not m + soft.size:
-        z = np.asarray(np.linalg.lstsq(B, r, rcond=None)[0], float)
-        return Solution(z, total, Certificate(0.0, 0.0, 0.0), True)
+        return Solution(shortest(B, r, np.abs(rows.A).max(initial=0.0))[0], total, Certificate(0.0, 0.0, 0.0), True)
     C = np.zeros((m + soft.size, size))
     C[:m, :d], C[m:, :d], C[m:, d:] = binding, B[soft], -np.eye(soft.size)
     own, unbound = rows.A[soft] @ free.x, np.full(size, np.inf)

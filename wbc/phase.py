@@ -266,7 +266,7 @@ class Program:
             self.phase.collision.fill(state, dt, self._apart)
         self._costs = self.costs(state)
         self.last = self.strict
-        return _fill(self.strict, self._costs)
+        return _fill(self.strict, self._summed)
 
     def _contact_rows(self, state: State) -> list[Rows]:
         """The constraints of the contacts, with the names of their rows."""
@@ -325,13 +325,18 @@ class Program:
             weight = state.M.diagonal() if G is None else 1.0 / np.maximum(mobility(state, G).diagonal(), 1e-6)
             springs.append((Rows("", {f"{rows.name} yield": None}, zero, zero, np.diag(weight)), YIELD_WEIGHT, 0))
         self._costs = [*springs, *self._costs]
-        return _fill(self.yielding, self._costs, [*self._hard, *map(_softened, self._viable)])
+        return _fill(self.yielding, self._summed, [*self._hard, *map(_softened, self._viable)])
 
     def gave_way(self, x: Array) -> str:
         """What of viability yields in an answer of the yielding problem."""
         slices = self.last.variables.slices
         gave = [_VIABLE[r.name] for r in self._viable if np.abs(x[slices[f"{r.name} yield"]]).max() > 1e-6]
         return " and ".join(gave or [_VIABLE[rows.name] for rows in self._viable])
+
+    @property
+    def _summed(self) -> list[Cost]:
+        """The costs that make one sum; where priorities are strict there is none."""
+        return self._costs if self.phase.levels is None else []
 
     def solve(self, solver: Solver) -> Solution:
         """A certified answer of the last problem: of its one sum of costs, or level by level."""

@@ -25,20 +25,20 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from .kernels import _F, _M, _V, Array, _compiled, _Function, _m, _towards
+from .compiled import COUNT, NOTHING, Array, F, M, _Function, compiled, m
 
 Ints = NDArray[np.int64]
 # in one piece, as all but a program's own storage is
-_c, _n, _t = (types.Array(_F, ndim, "C", readonly=True) for ndim in (1, 2, 3))
-_C, _N, _T = (types.Array(_F, ndim, "C") for ndim in (1, 2, 3))
-_i1, _i2 = (types.Array(types.int64, ndim, "C", readonly=True) for ndim in (1, 2))
-_I1, _I2 = (types.Array(types.int64, ndim, "C") for ndim in (1, 2))
+_c, _n, _t = (types.Array(F, ndim, "C", readonly=True) for ndim in (1, 2, 3))
+_C, _N, _T = (types.Array(F, ndim, "C") for ndim in (1, 2, 3))
+_i1, _i2 = (types.Array(COUNT, ndim, "C", readonly=True) for ndim in (1, 2))
+_I1, _I2 = (types.Array(COUNT, ndim, "C") for ndim in (1, 2))
 
 
 def _inner(function: _Function) -> _Function:
     """Compiled into those that call it; a division by zero is infinite, and costs no branch."""
-    compiled: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
-    return compiled
+    inlined: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
+    return inlined
 
 
 _NOTHING = 1e-9  # [m] half lengths and distances below this are none
@@ -276,7 +276,7 @@ def _outside(a: int, b: int, R: Array, p: Array, half: Array) -> float:
     return math.sqrt(square)
 
 
-@_compiled(types.void, _n, _i1, _t, _n, _c, _i2, _F, _I1)
+@compiled(NOTHING, _n, _i1, _t, _n, _c, _i2, F, _I1)
 def meet(
     poses: Array, joint: Ints, place: Array, half: Array, radius: Array, pairs: Ints, reach: float, seen: Ints
 ) -> None:
@@ -370,26 +370,27 @@ def _derivatives(
     return rate, drift
 
 
-@_compiled(types.int64, _n, _n, _n, _m, _n, _c, _F, _i1, _t, _n, _c, _c, _i2, _c, _C, _I2, _T, _T, _N, _M, _V)
-def keep_apart(
-    poses: Array, v: Array, a: Array, J: Array, moves: Array, idle: Array, dt: float, joint: Ints, place: Array,
-    half: Array, radius: Array, bound: Array, pairs: Ints, law: Array,
-    dist: Array, which: Ints, points: Array, along: Array, told: Array, G: Array, lo: Array,
+@compiled(COUNT, _n, _n, _n, m, _n, _c, _i1, _t, _n, _c, _c, _i2, _c, _C, _I2, _T, _T, _N, M)
+def nearest(
+    poses: Array, v: Array, a: Array, J: Array, moves: Array, idle: Array, joint: Ints, place: Array, half: Array,
+    radius: Array, bound: Array, pairs: Ints, law: Array,
+    dist: Array, which: Ints, points: Array, along: Array, told: Array, G: Array,
 ) -> int:  # fmt: skip
-    """Rows G vdot >= lo of the nearest distances, as many as there is room for; how many there are.
+    """Gradients G of the most urgent distances, as many as there is room for; how many there are.
 
     `poses` (joints, 12): R by columns, then p; `v`, `a` (joints, 6): twists, and accelerations at vdot = 0, in the
     joints' axes, linear first; `J` (6, nv): the world's columns at its origin, linear first; `moves` (joints, nv): 1
-    for those that move a joint; `idle` (nv,): a row that is not used, and asks nothing. Shapes: joint, place [R | p],
-    half lengths, radius, and the radius of a sphere about all of it. `law`: distance to keep, a, l, the way back, j, T,
-    and the speed [m/s] beyond its own with which a pair is looked at. `told` (rows, 3): d, ddot and drift.
+    for those that move a joint; `idle` (nv,): a row that is not used. Shapes: joint, place [R | p], half lengths,
+    radius, and the radius of a sphere about all of it. `law`: distance to keep, a, l, the way back, j, T, and the speed
+    [m/s] beyond its own with which a pair is looked at. `told` (rows, 3): d, ddot and drift; d is infinite where a row
+    is not used.
     """
     shapes, rows, nv = joint.size, dist.size, G.shape[1]
     R, p = np.empty((shapes, 3, 3)), np.empty((shapes, 3))
     ends, around, moving = np.empty((shapes, 2, 3)), np.empty(shapes), np.empty((shapes, 4))
     _placed(poses, joint, place, R, p)
     _sticks(R, p, half, radius, ends, around)
-    margin, brake, lead, back, jerk, settle, ahead = law[0], law[1], law[2], law[3], law[4], law[5], law[6]
+    margin, brake, lead, ahead = law[0], law[1], law[2], law[6]
     V = np.empty(9)
     for g in range(shapes):  # velocity of its middle, and what turning adds at most
         _twists(joint[g], poses, v, V)
@@ -438,7 +439,7 @@ def keep_apart(
     n, moment_x, moment_y = np.empty(3), np.empty(3), np.empty(3)
     for i in range(rows):
         if i >= count:
-            lo[i] = -math.inf
+            told[i, 0] = math.inf
             for j in range(nv):
                 G[i, j] = idle[j]
             continue
@@ -458,10 +459,8 @@ def keep_apart(
             G[i, j] = s
             size = max(size, abs(s))
         told[i, 0], told[i, 1], told[i, 2] = dist[i], rate, drift
-        most = _towards(dist[i] + dt * rate - margin, -rate, brake, lead, back, jerk, settle)
-        lo[i] = -max(most, -brake) - drift
         if size < _STILL:  # no joint moves these apart
-            lo[i] = -math.inf
+            told[i, 0] = math.inf
             for j in range(nv):
                 G[i, j] = idle[j]
     return count

@@ -1,0 +1,47 @@
+"""The arithmetic of a tick, compiled: one call for what would take numpy ten, each of which costs more than its work.
+
+Plain loops over small dense arrays; the theory is told where they are called. Signatures are explicit.
+"""
+
+from .algebra import gauss, inverse, mobility, within
+from .contact import carried, height, rolling, select, settle, share, wanted
+from .force import advance, feedback, sense, spring
+from .limit import braking_bounds, torque_window
+from .motion import computed_torque, frame, log, point_target, pose_errors, shift
+from .null_space import least_squares, root
+from .program import active, add_rows, add_square, equations, residuals, torque, total
+
+__all__ = [
+    "active",
+    "add_rows",
+    "add_square",
+    "advance",
+    "braking_bounds",
+    "carried",
+    "computed_torque",
+    "equations",
+    "feedback",
+    "frame",
+    "gauss",
+    "height",
+    "inverse",
+    "least_squares",
+    "log",
+    "mobility",
+    "point_target",
+    "pose_errors",
+    "residuals",
+    "rolling",
+    "root",
+    "select",
+    "sense",
+    "settle",
+    "share",
+    "shift",
+    "spring",
+    "torque",
+    "torque_window",
+    "total",
+    "wanted",
+    "within",
+]
