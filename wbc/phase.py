@@ -63,6 +63,11 @@ class Phase:
         return tuple(name for name, contact in self.contacts.items() if contact.feedforward == "measured")
 
     @cached_property
+    def standing(self) -> tuple[str, ...]:
+        """Contacts that are feet on a plane."""
+        return tuple(name for name, contact in self.contacts.items() if contact.footing is not None)
+
+    @cached_property
     def compliant(self) -> dict[str, Compliance]:
         """Impedance and admittance tasks, by name."""
         return {name: task for name, task in self.tasks.items() if isinstance(task, Compliance)}

@@ -94,8 +94,9 @@ class State:
     `measured`, `targets`, `loops` and `felt` are filled by the controller: what the contacts demand, the wrenches
     measured (6,), the targets set from outside, the force loops' memory, and what tasks feel of a push; `primary` is
     (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of them;
-    `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did. Valid until the
-    next state is computed from the same `terms`.
+    `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did; `grounds`:
+    contact -> how far above its plane a foot has found the floor [m]. Valid until the next state is computed from the
+    same `terms`.
     """
 
     __slots__ = (
@@ -106,6 +107,7 @@ class State:
         "count",
         "dt",
         "felt",
+        "grounds",
         "h",
         "loops",
         "measured",
@@ -134,6 +136,7 @@ class State:
         self.felt: dict[Any, Any] = {}
         self.primary: tuple[Array, Array, Array] = _NO_ROWS
         self.starts: Mapping[Any, Any] = _NO_STARTS
+        self.grounds: Mapping[Any, float] = _NO_STARTS
         self._L: Any = None
 
     def frame(self, name: str) -> Frame:

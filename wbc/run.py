@@ -6,7 +6,7 @@ import gc
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ from .robot import State
 from .sim import Observation, Simulator, Touch
 from .task import ForceTask, MotionTask
 from .transition import STOP
-from .wrench import Wrench
+from .wrench import WRENCH_AXES, Wrench
 
 STATUS_NAMES = [status.name for status in Status]
 
@@ -106,11 +106,15 @@ def _loop(
     contacts = {name: contact for phase in built.phases for name, contact in phase.contacts.items()}
     deaf = unfelt(built.robot, built.phases)
     feeling = [name for phase in built.phases for name in phase.feeling if name not in deaf]
+    feet = _sensitive(built.phases)
     touched = dict.fromkeys(contacts, True)
+    true: dict[str, Touch] = {}
     for tick in range(ticks):
         seen = simulator.observe()
         measured = _measured(simulator, controller, before, seen)
         given = dict.fromkeys(feeling, measured) if measured is not None else None
+        if true and feet:
+            given = (given or {}) | {name: simulator.sensed(true[name].F, frame) for name, frame in feet.items()}
         began = time.perf_counter()
         out = controller.step(seen.t, seen.q, seen.v, measured=given)
         took = time.perf_counter() - began
@@ -237,6 +241,13 @@ def _contact_rows(
         row[f"{name}.asked"] = inverse @ row[f"{name}.predicted"]
         row[f"{name}.measured"] = state.measured.get(name, unknown)
     return row
+
+
+def _sensitive(phases: Sequence[Phase]) -> dict[str, str]:
+    """Feet, and their frames, whose forces some phase waits for: the robot has a sensor in each of them."""
+    conditions = [each.name for phase in phases if phase.exit is not None for each in phase.exit.until]
+    asked = {name.rpartition(".")[0] for name in conditions if name.rpartition(".")[2] in WRENCH_AXES}
+    return {name: phase.contacts[name].frame for phase in phases for name in phase.standing if name in asked}
 
 
 def _name(built: Built) -> str:

@@ -120,6 +120,12 @@ class Simulator:
         """
         return None if self._sensor is None else self._sensor.compensated(self._reading(), state, vdot)
 
+    def sensed(self, F: Array, frame: str) -> Wrench:
+        """A true wrench of the last tick as a sensor in that frame reads it."""
+        if self._noise is not None and (self._noise.force or self._noise.moment):
+            F = F + np.repeat((self._noise.moment, self._noise.force), 3) * self._rng.normal(0.0, 1.0, 6)
+        return Wrench(F, frame)
+
     def tare(self, state: State) -> None:
         """Take what the wrist sensor reads at `state`, beyond the tool's load, off all later readings."""
         if self._sensor is not None:
