@@ -62,7 +62,7 @@ def walking(tmp_path, early, late, feet, *more):
         head, tail = text.split("  unload_RL:")
         text = head + "  rest:" + tail.split("  rest:")[1]
         text = re.sub(r"  R[LR]_swing: .*\n|  R[LR]_ahead: .*\n", "", text)
-    text = text.replace("duration: 10", f"duration: {11 if feet == 4 else 5}")
+    text = text.replace("duration: 10", f"duration: {11 if feet == 4 else 5.4}")
     (tmp_path / "stones.yaml").write_text(text)
     return build(load(tmp_path / "stones.yaml", list(more)))
 
