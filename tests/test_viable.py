@@ -8,7 +8,7 @@ import pytest
 from viability import most, smooth_stopping, stopping, viable
 
 from wbc.controller import Controller
-from wbc.limit import JointLimit
+from wbc.limit import JointLimit, make_limits
 from wbc.sim import Simulator
 from wbc.task import PostureTask
 
@@ -168,3 +168,25 @@ def test_a_robot_beyond_its_range_comes_back_and_says_so(bare_panda):
         assert seen.q[joint] <= bare_panda.q_max[joint] + OVERSHOOT
         assert f"position[{bare_panda.joints[joint]}]" in first
         assert f"position[{bare_panda.joints[joint]}]" in out.active  # the goal is still out there
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_all_limits_of_a_robot_leave_an_answer_in_every_viable_state(name, request):
+    """Torque, its rate, position, velocity and acceleration together, all joints at any viable speed at once, the
+    torque that of a motion without acceleration, a task that pulls as hard as it can: nothing yields."""
+    robot = request.getfixturevalue({"panda": "bare_panda"}.get(name, name))
+    rng, worst = np.random.default_rng(10), 0
+    for accelerations in (None, 5.0, 20.0):
+        limits = {"torque_rate": 1000.0, "acceleration": accelerations}
+        limit = make_limits(robot, limits)[1]
+        made = Controller(robot, tasks={"pull": PostureTask(np.zeros(robot.nv), 400.0, 30.0)}, limits=limits)
+        for _ in range((50_000 if LARGE else 1000) // 3):
+            q = rng.uniform(np.maximum(robot.q_min, -np.pi), np.minimum(robot.q_max, np.pi))
+            top = limit.viable_speed(q)
+            v = rng.uniform(-top[robot.nv :], top[: robot.nv])
+            made.reset(q, v, tau=robot.state(q, v).h.copy())
+            made.phase.tasks["pull"].q[:] = q + rng.uniform(-8.0, 8.0, robot.nv)
+            out = made.step(0.0, q, v)
+            assert out.status.name in ("OK", "LIMITED"), out.reason
+            worst += "yield" in out.reason
+    assert worst == 0
