@@ -15,6 +15,7 @@ from wbc.check import check
 from wbc.collision import Pairs, SelfCollision, find_pairs, signed
 from wbc.controller import Controller, Status
 from wbc.errors import GainError, ModelError, SpecError
+from wbc.limit import make_collision
 from wbc.resources import shipped_folder
 from wbc.robot import Robot
 from wbc.run import run
@@ -46,6 +47,16 @@ CARTS = """<mujoco><default><joint type="slide" axis="1 0 0" range="-2 2" limite
   </worldbody></mujoco>"""
 
 
+# a bar on a hinge over a beam that goes up and down
+SEESAW = """<mujoco><compiler angle="radian"/><default><geom mass="1"/></default>
+  <worldbody>
+    <body name="beam"><joint type="slide" axis="0 0 1" range="-.1 .1"/>
+      <geom type="capsule" size=".03" fromto="-.2 0 0 .2 0 0"/></body>
+    <body name="bar" pos="0 0 .12"><joint axis="0 1 0" range="-1 1"/>
+      <geom type="capsule" size=".03" fromto="-.15 0 0 .15 0 0"/></body>
+  </worldbody></mujoco>"""
+
+
 def made(xml, path):
     """A robot with a motor in every joint."""
     spec = mujoco.MjSpec.from_string(xml)
@@ -67,6 +78,11 @@ def shaped(tmp_path_factory):
 @pytest.fixture(scope="module")
 def carts(tmp_path_factory):
     return made(CARTS, tmp_path_factory.mktemp("carts") / "carts.xml")
+
+
+@pytest.fixture(scope="module")
+def seesaw(tmp_path_factory):
+    return made(SEESAW, tmp_path_factory.mktemp("seesaw") / "seesaw.xml")
 
 
 def some(robot, rng):
@@ -143,17 +159,17 @@ class TestDistance:
             np.testing.assert_allclose(rows.A["vdot"][:, :6], 0.0, atol=1e-12)
             np.testing.assert_allclose((rows.A["vdot"] @ v)[moved], told[moved[: len(told)], 1], atol=1e-10)
 
-    def test_rows_do_not_jump_where_the_nearest_points_do(self, shaped):
-        """Two capsules that tilt through parallel: what their rows allow changes as little as the pose."""
-        limit, allowed, nearest = every(shaped), [], []
+    def test_rows_do_not_jump_where_the_nearest_points_do(self, seesaw):
+        """A bar that tilts through parallel over a beam: its nearest end changes sides, what its turning may be not."""
+        limit, bounds, sides = SelfCollision(seesaw, MARGIN), [], []
         for tilt in np.linspace(-0.02, 0.02, 81):
-            q = np.array([0.4, 0.3 + tilt, 0.1, 0.2, -0.3, 0.4])
-            rows, told, _ = limit.told(shaped.state(q, np.zeros(shaped.nv)))
-            push = np.linspace(-1.0, 1.0, shaped.nv)
-            allowed.append(min(-(rows.lo[: len(told)]) / np.maximum(-(rows.A["vdot"][: len(told)] @ push), 1e-9)))
-            nearest.append(told[0, 0])
-        assert np.abs(np.diff(nearest)).max() < 2e-3
-        assert np.abs(np.diff(allowed)).max() < 0.2 * np.abs(allowed).max()
+            state = seesaw.state(np.array([0.0, tilt]), np.zeros(2))
+            rows, told, _ = limit.told(state)
+            G, lo = rows.A["vdot"][: len(told), 1], rows.lo[: len(told)]
+            bounds.append((np.max(lo[G > 0.01] / G[G > 0.01]), np.min(lo[G < -0.01] / G[G < -0.01])))
+            sides.append(np.sign(G[0]))
+        assert set(sides) == {-1.0, 1.0}  # of the nearest alone it would jump from one bound to the other
+        assert np.abs(np.diff(bounds, axis=0)).max() < 0.05 * np.abs(bounds).max()
 
     def test_inside_a_box_it_is_the_depth(self, carts):
         """The same function, continued: a ball whose middle is in the box."""
@@ -198,6 +214,8 @@ class TestPairs:
     def test_wrong_numbers_and_robots_without_shapes(self, g1):
         with pytest.raises(GainError, match=r"self_collision.distance: expected a positive number, got -1"):
             SelfCollision(g1, -1.0)
+        with pytest.raises(GainError, match="expected distance, deceleration and rows, got margin"):
+            make_collision(g1, {"margin": 0.02})
         with pytest.raises(ModelError, match="loaded from a file"):
             SelfCollision(Robot.from_pinocchio(pin.buildSampleModelManipulator()), 0.02)
 

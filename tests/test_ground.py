@@ -54,7 +54,7 @@ def walking(tmp_path, early, late, feet, *more):
     assert n == 4
     text, n = re.subn(
         r"until: \{(\w\w)_swing\.done: true\}",
-        r"until: {\1.fz: {max: -5}, time: 0.3}\n    timeout: 1.5\n    else: stop",
+        r"until: {\1.fz: {max: -1, for: 0.003}, time: 0.3}\n    timeout: 1.5\n    else: stop",
         text,
     )
     assert n == 4

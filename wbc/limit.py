@@ -205,7 +205,10 @@ def make_collision(robot: Robot, given: Any) -> SelfCollision | None:
 
     if isinstance(given, SelfCollision):
         return given
-    return SelfCollision(robot, **given) if isinstance(given, Mapping) else SelfCollision(robot, float(given))
+    given = given if isinstance(given, Mapping) else {"distance": float(given)}
+    if not {"distance"} <= set(given) <= {"distance", "deceleration", "rows"}:
+        raise GainError(f"limits.self_collision: expected distance, deceleration and rows, got {', '.join(given)}")
+    return SelfCollision(robot, **given)
 
 
 def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, JointLimit | None]:
