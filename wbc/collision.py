@@ -37,7 +37,8 @@ POSES = 1000  # in as many random poses
 
 class Shapes(NamedTuple):
     """The shapes of a robot, n of them: `joint` (n,), `place` (n, 3, 4) [R | p] on it, `half` (n, 3) lengths of the
-    core [m], `radius` (n,) [m] around it, `bound` (n,) [m] of a sphere about all of it, names of their bodies."""
+    core [m], `radius` (n,) [m] around it, `bound` (n,) [m] of a sphere about all of it, names of their bodies, `geoms`:
+    their numbers in the compiled model."""
 
     joint: Any
     place: Array
@@ -45,6 +46,7 @@ class Shapes(NamedTuple):
     radius: Array
     bound: Array
     bodies: tuple[str, ...]
+    geoms: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,7 @@ def make_shapes(robot: Robot) -> Shapes:
     tree = mj.body_rootid
     own = np.isin(tree, tree[mj.body_weldid > 0])
     simple = {int(mj.geom_bodyid[g]) for g in range(mj.ngeom) if KIND(int(mj.geom_type[g])) != KIND.mjGEOM_MESH}
-    joint, place, half, radius, bodies = [], [], [], [], []
+    joint, place, half, radius, bodies, geoms = [], [], [], [], [], []
     for g in range(mj.ngeom):
         body, kind = int(mj.geom_bodyid[g]), KIND(int(mj.geom_type[g]))
         if not own[body] or kind in (KIND.mjGEOM_PLANE, KIND.mjGEOM_HFIELD):
@@ -242,8 +244,9 @@ def make_shapes(robot: Robot) -> Shapes:
         half.append(core)
         radius.append(float(around))
         bodies.append(body_name(mj, body))
+        geoms.append(g)
     if not joint:
         raise ModelError("limits.self_collision: the robot has no shapes; expected geoms on its bodies")
     cores, radii = np.array(half), np.array(radius)
     bound = np.linalg.norm(cores, axis=1) + radii
-    return Shapes(np.array(joint, np.int64), np.array(place), cores, radii, bound, tuple(bodies))
+    return Shapes(np.array(joint, np.int64), np.array(place), cores, radii, bound, tuple(bodies), tuple(geoms))

@@ -23,7 +23,7 @@ from .errors import SimulationError
 from .feeling import unfelt
 from .impedance import Compliance
 from .log import Log
-from .metrics import metrics
+from .metrics import APART, metrics
 from .model import quietly
 from .phase import Phase
 from .relative import GazeTask
@@ -106,7 +106,7 @@ def _loop(
     contacts = {name: contact for phase in built.phases for name, contact in phase.contacts.items()}
     deaf = unfelt(built.robot, built.phases)
     feeling = [name for phase in built.phases for name in phase.feeling if name not in deaf]
-    feet = _sensitive(built.phases)
+    feet, apart = _sensitive(built.phases), _apart(built.phases)
     touched = dict.fromkeys(contacts, True)
     true: dict[str, Touch] = {}
     for tick in range(ticks):
@@ -127,6 +127,8 @@ def _loop(
             if touching and not touched[name] and name not in controller.phase.contacts:
                 row[f"{name}.predicted_peak"] = _predicted_peak(simulator, controller.state, contact.frame)
             touched[name] = touching
+        if apart:
+            row[APART] = simulator.true_distance(apart)
         log.append(out.active, **row)
         _record_pushes(log, controller, simulator)
         if built.robot.base:
@@ -241,6 +243,15 @@ def _contact_rows(
         row[f"{name}.asked"] = inverse @ row[f"{name}.predicted"]
         row[f"{name}.measured"] = state.measured.get(name, unknown)
     return row
+
+
+def _apart(phases: Sequence[Phase]) -> list[tuple[int, int]]:
+    """Pairs of geoms that some phase keeps apart."""
+    limits = [phase.collision for phase in phases if phase.collision is not None]
+    found = {
+        (limit.pairs.shapes.geoms[a], limit.pairs.shapes.geoms[b]) for limit in limits for a, b in limit.pairs.pairs
+    }
+    return sorted(found)
 
 
 def _sensitive(phases: Sequence[Phase]) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -222,6 +222,11 @@ class Simulator:
                 F[:3] += sign * (R.T @ (m + pin.skew(at - p) @ f))
                 F[3:] += sign * (R.T @ f)
         return Touch(F, points, mu)
+
+    def true_distance(self, pairs: Sequence[tuple[int, int]]) -> float:
+        """The least distance of pairs of geoms in the last tick, of those that meet less than zero [m]."""
+        model, data, beyond = self.model, self.data, 1.0
+        return min(mujoco.mj_geomDistance(model, data, a, b, beyond, None) for a, b in pairs)
 
     def true_com(self) -> Array:
         """(3,) the robot's centre of mass at the last tick, in the world."""
