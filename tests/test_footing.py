@@ -16,7 +16,7 @@ from wbc.resources import shipped_folder
 from wbc.run import run
 from wbc.spec import load
 
-PAIR, PAIR_STEP = ("FL", "RR"), 1.5  # [N m] a tick
+PAIR, PAIR_STEP = ("FL", "RR"), 0.3  # [N m] a tick
 BENT = {
     "FL": {"FL_calf_joint": -0.1},
     "left_foot": {"left_hip_pitch_joint": -0.2, "left_knee_joint": 0.4, "left_ankle_pitch_joint": -0.2},
@@ -148,9 +148,9 @@ class TestChangingHands:
         """A diagonal pair, unloaded first: in one tick two contacts go, in another they come."""
         text = (shipped_folder("tasks") / "go2_step.yaml").read_text().partition("phases:")[0]
         text = "".join(line for line in text.splitlines(keepends=True) if "_swing" not in line and "_ahead" not in line)
-        nothing = ", ".join(
-            f"tasks.{key}.{foot}: 0" for key in ("balance.target.over", "share.shares") for foot in PAIR
-        )
+        shares = {f"tasks.{key}.{foot}": 0 for key in ("balance.target.over", "share.shares") for foot in PAIR}
+        shares |= {f"tasks.share.shares.{foot}": 0.5 for foot in ("FR", "RL")}
+        nothing = ", ".join(f"{key}: {value}" for key, value in shares.items())
         (tmp_path / "pair.yaml").write_text(
             text.replace("duration: 10", "duration: 1.6").replace("torque_rate: 1500", "torque_rate: 5000")
             + "phases:\n  stand: {until: {time: 0.1}}\n"
