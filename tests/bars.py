@@ -189,6 +189,11 @@ AT_LEAST = {name: {"board.friction.share": 0.9} for name in ("g1_wipe", "g1_wipe
 # pushes of 0.1 s that are survived in eight directions: N s forwards and backwards, sideways; between them an ellipse
 PUSHES = {"go2_push": (16.0, 12.0), "g1_push": (8.0, 13.0)}
 
+# a foot that lands on a plate of 1 cm, another in a hole of 1 cm: balance [deg, m], slip [m], feet in the air [s]
+GROUND = {"tilt": 1.0, "drop": 5e-3, "slip": 1e-3, "unnoticed": 0.05}
+
+REDUNDANT_REFUSED = 0  # of 3 000 ticks on 8 points of two soles, rank 12 of 24
+
 # every run, whatever its spec says
 ALWAYS = {"torque.max_excess": 1e-6, "torque_rate.max_excess": 1e-3, "ticks.degraded": 0}
 

@@ -12,8 +12,11 @@ from wbc.centroidal import FADE, DistributionTask, com, mass
 from wbc.controller import Status
 from wbc.footing import LIFTED, Footing
 from wbc.handover import Start
+from wbc.resources import shipped_folder
+from wbc.run import run
 from wbc.spec import load
 
+PAIR, PAIR_STEP = ("FL", "RR"), 0.3  # [N m] a tick
 BENT = {
     "FL": {"FL_calf_joint": -0.1},
     "left_foot": {"left_hip_pitch_joint": -0.2, "left_knee_joint": 0.4, "left_ankle_pitch_joint": -0.2},
@@ -140,3 +143,29 @@ class TestChangingHands:
         for t, share in ((0.0, 0.0), (0.5 * FADE, 0.5), (FADE, 1.0), (2.0 * FADE, 1.0)):
             state.t, state.starts = t, {task: Start(0.0, loads=loads)}
             np.testing.assert_allclose(task.rows(state).lo, (1 - share) * even + share * wanted, atol=1e-9 * weight)
+
+    def test_two_feet_at_once_leave_and_come_back_without_a_bump(self, tmp_path):
+        """A diagonal pair, unloaded first: in one tick two contacts go, in another they come."""
+        text = (shipped_folder("tasks") / "go2_step.yaml").read_text().partition("phases:")[0]
+        text = "".join(line for line in text.splitlines(keepends=True) if "_swing" not in line and "_ahead" not in line)
+        shares = {f"tasks.{key}.{foot}": 0 for key in ("balance.target.over", "share.shares") for foot in PAIR}
+        shares |= {f"tasks.share.shares.{foot}": 0.5 for foot in ("FR", "RL")}
+        nothing = ", ".join(f"{key}: {value}" for key, value in shares.items())
+        (tmp_path / "pair.yaml").write_text(
+            text.replace("duration: 10", "duration: 1.6").replace("torque_rate: 1500", "torque_rate: 5000")
+            + "phases:\n  stand: {until: {time: 0.1}}\n"
+            + f"  unload: {{set: {{{nothing}}}, until: {{time: 0.9}}}}\n"
+            + f"  two: {{contacts: [FR, RL], set: {{{nothing}}}, until: {{time: 0.05}}}}\n  all: {{}}\n"
+        )
+        finished = run(build(load(tmp_path / "pair.yaml")))
+        log, phase = finished.log, finished.log["phase"].astype(int)
+        assert [change["name"] for change in finished.summary["phases"]] == ["stand", "unload", "two", "all"]
+        assert set(finished.summary["status"]) <= {"OK", "LIMITED"}
+        changes = np.flatnonzero(np.diff(phase)) + 1  # the first tick of each phase
+        steps = np.abs(np.diff(log["tau"], axis=0)).max(axis=1)
+        assert steps[changes[0] :].max() < PAIR_STEP
+        carried = [np.abs(log[f"{foot}.true"][changes[1] : changes[2], 5]).max() for foot in PAIR]
+        assert max(carried) < 1.0  # [N] they are let go with nothing on them,
+        for foot in PAIR:  # and carry the same again afterwards
+            before, after = (np.linalg.norm(log[f"{foot}.true"][i, 3:]) for i in (changes[0] - 1, -1))
+            assert after == pytest.approx(before, rel=0.05)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from .feeling import check_felt
 from .free_motion import STABLE, MassRange, following_radius, mass_range
 from .geometry import Geometry, components
 from .impedance import AdmittanceTask, Compliance
-from .limit import JointLimit, TorqueLimit, make_limits
+from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .metrics import vocabulary
 from .model import open_welds
 from .names import check_names, load_robot
@@ -39,6 +39,9 @@ from .stability import Pole, damping_margin, force_poles
 from .task import ForceTask, Task
 from .tracking import Tracking, joint_values
 from .wrench import VELOCITY_AXES
+
+if TYPE_CHECKING:
+    from .collision import SelfCollision
 
 WELDED = 1e-6  # [m, rad] how well the start pose closes what the scene welds
 
@@ -97,6 +100,7 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     masses = [each for phase in made for each in phase.masses]
     most = {name: limits for each in made for name, limits in each.damping_limits.items()}
     notes += controller.notes
+    notes += dict.fromkeys(each.phase.collision.note for each in made if each.phase.collision is not None)
     return Built(spec, robot, controller, q, poles, margins, most, controller.phases, notes, masses, rides)
 
 
@@ -223,9 +227,11 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
     )
     poles, margins, most = _stability(geometry, contacts, tasks, q)
     torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
+    collision = _collision(geometry)
     exit_ = None if entry is None else exit_of(base, name, entry, follower, contacts, tasks, q)
     masses = _masses(geometry, contacts, tasks, q)
-    return _Made(Phase(contacts, tasks, weights, torque, joint, name, exit_, levels), poles, margins, most, masses)
+    phase = Phase(contacts, tasks, weights, torque, joint, name, exit_, levels, collision)
+    return _Made(phase, poles, margins, most, masses)
 
 
 def _masses(
@@ -316,6 +322,18 @@ def _limits(spec: specs.Spec, robot: Robot, faults: Faults) -> tuple[TorqueLimit
             range_ = f"expected less than half of {robot.q_max[i] - robot.q_min[i]:.3g} rad"
             faults.add(("limits", "position", "margin"), f"{message}; {range_}")
     return make_limits(robot, values)
+
+
+def _collision(geometry: Geometry) -> SelfCollision | None:
+    """The distances that the robot's own bodies keep."""
+    given = geometry.spec.limits.self_collision
+    if given is None:
+        return None
+    with geometry.faults.at("limits", "self_collision"):
+        return make_collision(
+            geometry.robot, given if isinstance(given, float) else given.model_dump(exclude_none=True)
+        )
+    return None
 
 
 def _check_limit(robot: Robot, faults: Faults, name: str, given: Array, model: Array, unit: str) -> None:

@@ -64,13 +64,14 @@ def check(spec: Spec) -> Report:
     out = controller.step(0.0, built.q, np.zeros(built.robot.nv))
     # references begin at rest: a torque that reaches its limit here cannot even hold the robot where it is
     held = not any(name.startswith("torque[") for name in out.active) and "yield" not in out.reason
-    falls = _falling(controller, out)
-    feasible = out.status in (Status.OK, Status.LIMITED) and held and not falls
+    falls, near = _falling(controller, out), _too_near(controller)
+    feasible = out.status in (Status.OK, Status.LIMITED) and held and not falls and not near
+    reasons = [out.reason, falls, *(f"too near at the start: {pair}" for pair in near)]
     return Report(
         Path(spec.file).stem,
         built.robot.model_error,
         feasible,
-        "; ".join(filter(None, [out.reason, falls])),
+        "; ".join(filter(None, reasons)),
         built.poles,
         built.damping_margins,
         built.damping_limits,
@@ -94,6 +95,12 @@ def _falling(controller: Controller, out: Output) -> str:
         return f"nothing carries {base!r}, so it falls; expected a contact that holds it from the start"
     falls = f"{base!r} falls with {share:.0%} of gravity, for {', '.join(holding)} cannot carry it"
     return f"{falls}; expected more contacts, more friction, or a harder `press`"
+
+
+def _too_near(controller: Controller) -> list[str]:
+    """Pairs of bodies that start nearer than they may."""
+    collision = controller.phase.collision
+    return [] if collision is None else collision.too_near(controller.state)
 
 
 def _without_rate(phase: Phase) -> Phase:

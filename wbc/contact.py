@@ -172,9 +172,10 @@ class Contact(ABC):
     ) -> Held:
         """The rest of what is held, once its rows are selected."""
         footing, held.seen = self.footing, frame
-        held.lifted = footing is not None and footing.lifted(frame)
+        level = state.grounds.get(self, 0.0) if state.grounds else 0.0
+        held.lifted = footing is not None and footing.lifted(frame, level)
         if footing is not None and held.lifted:
-            held.rhs -= footing.asked(A, frame)
+            held.rhs -= footing.asked(A, frame, level)
             if Adot_V is not None:
                 held.rhs -= Adot_V
         elif self.settling is not None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from .contact import Contact
 from .errors import NameNotFound, StateError, did_you_mean
+from .footing import Ground
 from .handover import Start, hand_over
 from .impedance import NEW, Felt
 from .kernels import torque
@@ -83,13 +84,15 @@ class Memory(NamedTuple):
     watch: Watch = _NEW_WATCH  # of the phase's ways out
     why: str = ""  # the last change of phase, or the stop
     felt: Mapping[str, Felt] = _NONE  # what tasks know of a push
+    grounds: Mapping[str, Ground] = _NONE  # where feet that measure their force have found the floor
 
 
 class Controller:
     """A whole-body contact controller.
 
     Parameters: the robot; `contacts` name -> Contact; `tasks` name -> Task, or (Task, weight); `limits` with the keys
-    `torque`, `torque_rate`, `position`, `velocity`, `acceleration` (a number or (nu,), "model", or None); `solver`: a
+    `torque`, `torque_rate`, `position`, `velocity`, `acceleration` (a number or (nu,), "model", or None) and
+    `self_collision` (a distance [m], or a mapping: `SelfCollision`); `solver`: a
     name or an object with `solve(problem)`; `rate` [Hz]. `from_spec` makes one from YAML. Everything wrong with these
     raises here, a WbcError that says what; nothing raises later.
     """
@@ -242,6 +245,8 @@ class Controller:
         program = self._programs[memory.phase]
         state = self.state = State(self._terms, q, v, t - memory.start, dt)
         state.starts = program.named(memory.starts)
+        if memory.grounds:
+            state.grounds = _levels(program.phase, memory.grounds)
         hold(state, program.phase)
         refused = self._read(state, memory, measured, targets)
         tau_last = memory.tau
@@ -281,6 +286,8 @@ class Controller:
         before, index = self._programs[memory.phase], self._index[change.to]
         after = self._programs[index]
         state.contacts = {}
+        grounds = _found(state, after.phase, memory.grounds, {}) if after.phase.standing else _NONE
+        state.grounds = _levels(after.phase, grounds)
         hold(state, after.phase)
         carry(state, after.phase)
         tau = np.concatenate((np.zeros(self.robot.base), after.phase.torque.inside(tau)))  # of all velocities
@@ -288,8 +295,9 @@ class Controller:
         why = _told(before.phase, change)
         felt = {name: memory.felt[name] for name in after.phase.compliant if name in memory.felt}
         return memory._replace(
-            phase=index, phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH, why=why, felt=felt
-        )
+            phase=index, phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH, why=why, felt=felt,
+            grounds=grounds,
+        )  # fmt: skip
 
     def _stop(self, q: Array, v: Array, change: Change) -> Output:
         """A phase that leads nowhere: the safe hold, without the wrench of a contact that is lost."""
@@ -367,18 +375,21 @@ class Controller:
         status, reason, good = Status.OK, "", memory.good + 1
         if active or refused or yielded:
             status = Status.LIMITED
-            told = ["joint limits yield: nothing satisfies them within the torque limits"] if yielded else []
+            told = []
+            if yielded:
+                told = [f"{program.gave_way(solution.x)} yield: nothing satisfies them within the torque limits"]
             reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
         if good < GOOD_TICKS or missed >= MISSED_DEGRADED:
             status = Status.DEGRADED
             reason = reason or (
                 f"{missed} ticks missed" if missed else f"recovering: {good} of {GOOD_TICKS} good ticks"
             )
+        grounds = _found(state, program.phase, memory.grounds, wrenches) if program.phase.standing else _NONE
         by_robot = self.robot.gravity == "robot"
         gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
             t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
-            state.targets, status, 0, good, memory.starts, memory.watch, memory.why, memory.felt,
+            state.targets, status, 0, good, memory.starts, memory.watch, memory.why, memory.felt, grounds,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)
@@ -403,7 +414,7 @@ class Controller:
         memory = self._remembered
         phase = self._programs[memory.phase].phase
         last, state = self.state, State(self._terms, q, v, self.state.t, self.dt)
-        state.starts, self.state = last.starts, state
+        state.starts, state.grounds, self.state = last.starts, last.grounds, state
         hold(state, phase)
         tau = state.gravity() - HOLD_DAMPING * state.M.diagonal() * v
         for name, lam in memory.lam.items():
@@ -432,6 +443,27 @@ def _fault(name: str, value: Any, size: int) -> str:
     if not math.isfinite(value.dot(value)):
         return f"{name}: expected finite numbers, got {value}"
     return ""
+
+
+def _found(
+    state: State, phase: Phase, before: Mapping[str, Ground], asked: Mapping[str, Array]
+) -> Mapping[str, Ground]:
+    """Where the feet of a phase have found the floor, those that measure their force; `asked`: wrenches by contact."""
+    if not state.measured and not before:
+        return before
+    found = {name: ground for name, ground in before.items() if name in phase.contacts}
+    for name in phase.standing:
+        footing = phase.contacts[name].footing
+        if name in state.measured and footing is not None:
+            frame = state.frame(phase.contacts[name].frame)
+            push = footing.push(frame, asked[name]) if name in asked else 0.0
+            found[name] = found.get(name, Ground()).felt(footing, frame, state.measured[name], push)
+    return found
+
+
+def _levels(phase: Phase, grounds: Mapping[str, Ground]) -> dict[Any, float]:
+    """The same by contact, in metres above their planes."""
+    return {phase.contacts[name]: ground.level for name, ground in grounds.items() if name in phase.contacts}
 
 
 def _told(phase: Phase, change: Change) -> str:

@@ -46,7 +46,10 @@ def _reading(
     """How a measured quantity is read; None where it cannot be."""
     subject, _, what = quantity.rpartition(".")
     if what in WRENCH_AXES:
-        return quantities.force(subject, WRENCH_AXES.index(what))
+        axis, plane = WRENCH_AXES.index(what), base.plane(subject)
+        if plane is None:
+            return quantities.force(subject, axis)
+        return quantities.force_on(subject, base.spec.contacts[subject].frame, plane.rotation[:, axis % 3], axis)
     if what == "distance":
         read = base.distance(subject, q)
         if read is None:

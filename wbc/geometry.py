@@ -289,6 +289,11 @@ class Geometry:
         rows = np.eye(6)[[0, 1, 5] if contact.holds == "all" else [5]]
         return Goal(contact.frame, T, rows, ("contacts", name), plane.rotation)
 
+    def plane(self, name: str) -> pin.SE3 | None:
+        """What a round foot stands on, along whose axes its forces are told; None of anything else."""
+        ground = self._ground(name, self.spec.contacts[name])
+        return None if ground is None or self.spec.contacts[name].sole else self.robot.fixed_pose(ground)
+
     def distance(self, name: str, q: Array) -> Reading | None:
         """How far the frame of a contact is from where it is held; None where it is not held along one direction."""
         entry = self.spec.contacts[name]

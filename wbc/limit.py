@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from .errors import GainError
 from .kernels import braking_bounds, torque_window
 from .qp import Array, Rows
 from .robot import Robot
+
+if TYPE_CHECKING:
+    from .collision import SelfCollision
 
 SETTLE = 0.01  # T [s]
 
@@ -192,6 +195,20 @@ def _fair(inertia: Array, effort: Array) -> Array:
         x2 = 1.0 / (price @ rows)
         price = price * np.sqrt(rows @ x2)
     return np.asarray(np.sqrt(x2 / (rows @ x2).max()))
+
+
+def make_collision(robot: Robot, given: Any) -> SelfCollision | None:
+    """From `self_collision` of the limits: a distance [m], a mapping of `SelfCollision`'s parameters, or None."""
+    if given is None:
+        return None
+    from .collision import SelfCollision  # its arithmetic is loaded where it is used
+
+    if isinstance(given, SelfCollision):
+        return given
+    given = given if isinstance(given, Mapping) else {"distance": float(given)}
+    if not {"distance"} <= set(given) <= {"distance", "deceleration", "rows"}:
+        raise GainError(f"limits.self_collision: expected distance, deceleration and rows, got {', '.join(given)}")
+    return SelfCollision(robot, **given)
 
 
 def make_limits(robot: Robot, limits: Mapping[str, Any]) -> tuple[TorqueLimit, JointLimit | None]:

@@ -33,6 +33,7 @@
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
     joint.max_excess                               position beyond its limit [rad]
+    self_collision.distance.min                    least distance of the pairs of bodies that are kept apart [m]
     ticks.not_ok, .limited, .degraded              number of ticks by status
 
 Figures of a contact or a task are of the ticks in which it is active, less `settle` seconds after each of its begins;
@@ -59,6 +60,7 @@ from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 _LOGGED: dict[type, str] = {GazeTask: "angle", MomentumTask: "lacking"}
 SLIDING = 0.01  # [m/s] from which the direction of friction is judged
+APART = "self_collision.distance"
 ALWAYS = (
     "torque.max_excess", "torque.max_share", "torque_rate.max", "torque_rate.max_excess", "joint.max_excess",
     "ticks.not_ok", "ticks.limited", "ticks.degraded",
@@ -68,6 +70,7 @@ ALWAYS = (
 def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
     """Every metric that a run of these phases reports, under what the plant does to them."""
     names = [*ALWAYS, *response.names(phases, plant)]
+    names += [f"{APART}.min" for phase in phases if phase.collision is not None]
     for phase in phases:
         for task in phase.tasks.values():
             if isinstance(task, ForceTask):
@@ -169,6 +172,8 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
             out[f"{name}.{axis}.speed.max"] = float(np.abs(rate[held]).max()) if held.any() else math.nan
             out[f"{name}.{axis}.slip"] = float(np.abs(way).max()) if late.any() else math.nan
     out |= response.figures(log, phases, settle) | _limits(log)
+    if APART in log:
+        out[f"{APART}.min"] = float(log[APART].min())
     return out | stance.figures(log, phases, settle) if any(f"{name}.way" in log for name in _contacts(phases)) else out
 
 

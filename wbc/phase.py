@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -21,13 +21,16 @@ from .friction import Cone
 from .hierarchy import level
 from .hierarchy import solve as descend
 from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
-from .limit import JointLimit, TorqueLimit, make_limits
+from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .relative import GazeTask
 from .robot import Robot, State
 from .solver import Solution, Solver, answer, make
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .transition import Exit
+
+if TYPE_CHECKING:
+    from .collision import SelfCollision
 
 _NO_METRIC = np.zeros((0, 0))
 Cost: TypeAlias = tuple[
@@ -36,7 +39,8 @@ Cost: TypeAlias = tuple[
 HIERARCHIES = ("weighted", "strict")
 LEVEL_RATIO = 1e-3  # of the weights from one level to the next, where priorities are not strict
 LAST = 1_000_000  # the level of what decides only what no task does
-YIELD_WEIGHT = 1e6  # of joint viability, in ticks that have no answer otherwise
+YIELD_WEIGHT = 1e6  # of viability, in ticks that have no answer otherwise
+_VIABLE = {"joint": "joint limits", "collision": "distances"}
 
 
 @dataclass(frozen=True)
@@ -51,11 +55,17 @@ class Phase:
     name: str = ""
     exit: Exit | None = None
     levels: Mapping[str, int] | None = None  # of the tasks, 1 first: strict priorities. None: the weights decide
+    collision: SelfCollision | None = None
 
     @cached_property
     def fed(self) -> tuple[str, ...]:
         """Contacts whose measured wrench is fed forward along the free axes."""
         return tuple(name for name, contact in self.contacts.items() if contact.feedforward == "measured")
+
+    @cached_property
+    def standing(self) -> tuple[str, ...]:
+        """Contacts that are feet on a plane."""
+        return tuple(name for name, contact in self.contacts.items() if contact.footing is not None)
 
     @cached_property
     def compliant(self) -> dict[str, Compliance]:
@@ -112,7 +122,8 @@ def place(
         hierarchy,
     )
     only = {name: task for name, (task, _, _) in placed.items()}
-    return Phase(dict(contacts), only, weights, torque, joint, levels=levels)
+    collision = make_collision(robot, limits.get("self_collision"))
+    return Phase(dict(contacts), only, weights, torque, joint, levels=levels, collision=collision)
 
 
 def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
@@ -221,20 +232,19 @@ class Program:
         self.pushing = {name: c.pushes for name, c in phase.contacts.items() if c.pushes is not None}
         hard += self._cones(state)
         hard += self._dynamic_rows(state)
-        joint = (
-            phase.joint.rows(state.q, state.v, state.dt)._replace(labels=phase.joint.labels) if phase.joint else None
-        )
-        self.strict = self.last = Workspace(Variables(sizes), [*hard, joint] if joint else hard)
-        # the same with joint viability allowed to yield, for ticks that have no answer otherwise
+        viable = self._viable_rows(state)
+        self.strict = self.last = Workspace(Variables(sizes), [*hard, *viable])
+        # the same with viability allowed to yield, for ticks that have no answer otherwise
         self.yielding = None
-        if joint is not None:
-            soft = joint._replace(A={"vdot": None, "yield": None})
-            self.yielding = Workspace(Variables(sizes | {"yield": state.robot.nv}), [*hard, soft])
+        if viable:
+            slack = {f"{rows.name} yield": rows.lo.size for rows in viable}
+            self.yielding = Workspace(Variables(sizes | slack), [*hard, *map(_softened, viable)])
         self._rescue = make("proxqp")  # of levels that the solver refuses
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[Cost] = []
         self._torque, self._joint = self.strict.stored["torque"], self.strict.stored.get("joint")
-        self._hard = [self.strict.stored[rows.name] for rows in ([*hard, joint] if joint else hard)]
+        self._apart = self.strict.stored.get("collision")
+        self._hard, self._viable = ([self.strict.stored[rows.name] for rows in some] for some in (hard, viable))
         self._standing: dict[str, tuple[Cone, bool]] = {}  # whose rows stand in the problem, and whether lifted
         self.window: tuple[Array, Array] = (phase.torque.low, phase.torque.high)  # [N m] of the torque at this tick
 
@@ -247,7 +257,7 @@ class Program:
 
     @property
     def yielded(self) -> bool:
-        """Whether the last problem let joint viability yield."""
+        """Whether the last problem let viability yield."""
         return self.last is not self.strict
 
     def assemble(self, state: State, tau_last: Array, dt: float) -> bool:
@@ -257,6 +267,8 @@ class Program:
         self._fill_dynamics(state, tau_last, dt)
         if self._joint is not None and joint is not None:
             joint.fill(state.q, state.v, dt, self._joint)
+        if self._apart is not None and self.phase.collision is not None:
+            self.phase.collision.fill(state, dt, self._apart)
         self._costs = self.costs(state)
         self.last = self.strict
         return _fill(self.strict, self._summed)
@@ -270,6 +282,15 @@ class Program:
         """Equations of motion, with the torque within its limits."""
         limit = self.phase.torque
         return [torque_map(state).rows(limit.low, limit.high, limit.labels)]
+
+    def _viable_rows(self, state: State) -> list[Rows]:
+        """What joints and bodies can still brake from, where it is limited."""
+        joint, collision, rows = self.phase.joint, self.phase.collision, []
+        if joint is not None:
+            rows.append(joint.rows(state.q, state.v, state.dt)._replace(labels=joint.labels))
+        if collision is not None:
+            rows.append(collision.sample(state.robot.nv))
+        return rows
 
     def _fill_contacts(self, state: State) -> None:
         """The constraints of the contacts at a tick, and what they do not pull."""
@@ -300,15 +321,22 @@ class Program:
         return [pushes.rows(name, cone) for name, pushes, cone in cones if cone is not None]
 
     def relax(self, state: State) -> bool:
-        """The problem with joint viability yielding; dynamics, torque and rate never do. False without joint limits."""
+        """The problem with viability yielding; dynamics, torque and rate never do. False where nothing can yield."""
         if self.yielding is None:
             return False
-        zero = np.zeros(state.robot.nv)
-        spring = Rows("", {"yield": None}, zero, zero, np.diag(state.M.diagonal()))
-        joint = self._hard[-1]._replace(A={"vdot": None, "yield": None})
-        self.last = self.yielding
-        self._costs = [(spring, YIELD_WEIGHT, 0), *self._costs]
-        return _fill(self.yielding, self._summed, [*self._hard[:-1], joint])
+        self.last, springs = self.yielding, list[Cost]()
+        for rows in self._viable:
+            zero, G = np.zeros(rows.lo.size), rows.A["vdot"]
+            weight = state.M.diagonal() if G is None else 1.0 / np.maximum(mobility(state, G).diagonal(), 1e-6)
+            springs.append((Rows("", {f"{rows.name} yield": None}, zero, zero, np.diag(weight)), YIELD_WEIGHT, 0))
+        self._costs = [*springs, *self._costs]
+        return _fill(self.yielding, self._summed, [*self._hard, *map(_softened, self._viable)])
+
+    def gave_way(self, x: Array) -> str:
+        """What of viability yields in an answer of the yielding problem."""
+        slices = self.last.variables.slices
+        gave = [_VIABLE[r.name] for r in self._viable if np.abs(x[slices[f"{r.name} yield"]]).max() > 1e-6]
+        return " and ".join(gave or [_VIABLE[rows.name] for rows in self._viable])
 
     @property
     def _summed(self) -> list[Cost]:
@@ -382,8 +410,15 @@ class Program:
                 number, rows = joints.index(joint), self.strict.stored["joint"]
                 side = rows.hi if z[i] > 0.0 else rows.lo
                 label = self.phase.joint.name(number, bool(z[i] > 0.0), state.q, side[state.robot.base + number])
+            elif kind == "collision" and self.phase.collision is not None:
+                label = self.phase.collision.name(int(joint), state)
             names.append(label)
         return tuple(dict.fromkeys(names)) if self.pushing else tuple(names)
+
+
+def _softened(rows: Rows) -> Rows:
+    """Rows that may give way, each by a slack of its own."""
+    return rows._replace(A={**rows.A, f"{rows.name} yield": None})
 
 
 def _stacked(state: State, tasks: Sequence[Any]) -> tuple[Array, Array]:

@@ -1,6 +1,7 @@
 """The measured quantities that end a phase, as readings of a state.
 
-CONTACT.AXIS       wrench of the robot on the environment, at the contact's frame, also of one that is not active
+CONTACT.AXIS       wrench of the robot on the environment, at the contact's frame, also of one that is not active; of a
+                   foot that is round along the axes of what it stands on
 CONTACT.distance   of its frame from where the contact holds it, against its push or along the one axis held [m]
 CONTACT.slip       speed of its frame across its push along what friction is to hold there, while it is active [m/s]
 TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s] (as the task sees it)
@@ -31,6 +32,17 @@ def force(contact: str, axis: int) -> Reading:
     def read(state: State) -> float:
         F = state.measured.get(contact)
         return math.nan if F is None else float(F[axis])
+
+    return read
+
+
+def force_on(contact: str, frame: str, n: Array, axis: int) -> Reading:
+    """The same along the axis n (3,) of the world, 0 .. 2 for a moment, 3 .. 5 for a force."""
+    n, part = n.copy(), slice(0, 3) if axis < 3 else slice(3, 6)
+
+    def read(state: State) -> float:
+        F = state.measured.get(contact)
+        return math.nan if F is None else float(n.dot(state.frame(frame).R.dot(F[part])))
 
     return read
 

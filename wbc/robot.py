@@ -101,8 +101,9 @@ class State:
     `measured`, `targets`, `loops` and `felt` are filled by the controller: what the contacts demand, the wrenches
     measured (6,), the targets set from outside, the force loops' memory, and what tasks feel of a push; `primary` is
     (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of them;
-    `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did. Valid until the
-    next state is computed from the same `terms`.
+    `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did; `grounds`:
+    contact -> how far above its plane a foot has found the floor [m]. Valid until the next state is computed from the
+    same `terms`.
     """
 
     __slots__ = (
@@ -113,6 +114,7 @@ class State:
         "count",
         "dt",
         "felt",
+        "grounds",
         "h",
         "loops",
         "measured",
@@ -141,6 +143,7 @@ class State:
         self.felt: dict[Any, Any] = {}
         self.primary: tuple[Array, Array, Array] = _NO_ROWS
         self.starts: Mapping[Any, Any] = _NO_STARTS
+        self.grounds: Mapping[Any, float] = _NO_STARTS
         self._L: Any = None
 
     def frame(self, name: str) -> Frame:
@@ -205,6 +208,7 @@ class Robot:
     _ids: dict[str, int] = field(default_factory=dict, init=False, repr=False)
     _maps: dict[tuple[str, str], Array | None] = field(default_factory=dict, init=False, repr=False)
     _axes: dict[str, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
+    _pairs: list[Any] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.gravity not in ("controller", "robot"):
@@ -359,6 +363,14 @@ class Robot:
                 "expected one fixed to the world"
             )
         return frame.placement.copy()
+
+    def pairs(self) -> Any:
+        """The shapes that can meet one another (`collision.Pairs`), found once."""
+        from .collision import find_pairs
+
+        if not self._pairs:
+            self._pairs.append(find_pairs(self))
+        return self._pairs[0]
 
     def inertia_below(self, frame_name: str) -> pin.Inertia:
         """Inertia, in that frame, of everything that the body which carries `frame_name` holds up."""

@@ -6,7 +6,7 @@ import gc
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from .errors import SimulationError
 from .feeling import unfelt
 from .impedance import Compliance
 from .log import Log
-from .metrics import metrics
+from .metrics import APART, metrics
 from .model import quietly
 from .phase import Phase, hold
 from .relative import GazeTask
@@ -32,7 +32,7 @@ from .robot import State, Terms
 from .sim import Observation, Simulator, Touch, carrier
 from .task import ForceTask, MotionTask
 from .transition import STOP
-from .wrench import Wrench
+from .wrench import WRENCH_AXES, Wrench
 
 STATUS_NAMES = [status.name for status in Status]
 
@@ -106,12 +106,16 @@ def _loop(
     contacts = {name: contact for phase in built.phases for name, contact in phase.contacts.items()}
     deaf = unfelt(built.robot, built.phases)
     feeling = [name for phase in built.phases for name in phase.feeling if name not in deaf]
+    feet, apart = _sensitive(built.phases), _apart(built.phases)
     touched = dict.fromkeys(contacts, True)
+    true: dict[str, Touch] = {}
     terms = None if simulator.encoders is None or simulator.encoders.exact else Terms(built.robot)
     for tick in range(ticks):
         seen = simulator.observe()
         measured = _measured(simulator, controller, before, seen)
         given = dict.fromkeys(feeling, measured) if measured is not None else None
+        if true and feet:
+            given = (given or {}) | {name: simulator.sensed(true[name].F, frame) for name, frame in feet.items()}
         began = time.perf_counter()
         out = controller.step(seen.t, seen.q, seen.v, measured=given)
         took = time.perf_counter() - began
@@ -126,6 +130,8 @@ def _loop(
             if touching and not touched[name] and name not in controller.phase.contacts:
                 row[f"{name}.predicted_peak"] = _predicted_peak(simulator, controller.state, contact)
             touched[name] = touching
+        if apart:
+            row[APART] = simulator.true_distance(apart)
         log.append(out.active, **row)
         _record_pushes(log, controller, simulator)
         if built.robot.base:
@@ -144,6 +150,7 @@ def _true_state(controller: Controller, simulator: Simulator, terms: Terms) -> S
     known = controller.state
     state = State(terms, *simulator.true_state, known.t, known.dt)
     state.starts, state.targets, state.measured = known.starts, known.targets, known.measured
+    state.grounds = known.grounds
     hold(state, controller.phase)
     return state
 
@@ -248,6 +255,22 @@ def _contact_rows(
         row[f"{name}.asked"] = inverse @ row[f"{name}.predicted"]
         row[f"{name}.measured"] = state.measured.get(name, unknown)
     return row
+
+
+def _apart(phases: Sequence[Phase]) -> list[tuple[int, int]]:
+    """Pairs of geoms that some phase keeps apart."""
+    limits = [phase.collision for phase in phases if phase.collision is not None]
+    found = {
+        (limit.pairs.shapes.geoms[a], limit.pairs.shapes.geoms[b]) for limit in limits for a, b in limit.pairs.pairs
+    }
+    return sorted(found)
+
+
+def _sensitive(phases: Sequence[Phase]) -> dict[str, str]:
+    """Feet, and their frames, whose forces some phase waits for: the robot has a sensor in each of them."""
+    conditions = [each.name for phase in phases if phase.exit is not None for each in phase.exit.until]
+    asked = {name.rpartition(".")[0] for name in conditions if name.rpartition(".")[2] in WRENCH_AXES}
+    return {name: phase.contacts[name].frame for phase in phases for name in phase.standing if name in asked}
 
 
 def _name(built: Built) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -129,6 +129,12 @@ class Simulator:
         """
         return None if self._sensor is None else self._sensor.compensated(self._reading(), state, vdot)
 
+    def sensed(self, F: Array, frame: str) -> Wrench:
+        """A true wrench of the last tick as a sensor in that frame reads it."""
+        if self._noise is not None and (self._noise.force or self._noise.moment):
+            F = F + np.repeat((self._noise.moment, self._noise.force), 3) * self._rng.normal(0.0, 1.0, 6)
+        return Wrench(F, frame)
+
     def tare(self, state: State) -> None:
         """Take what the wrist sensor reads at `state`, beyond the tool's load, off all later readings."""
         if self._sensor is not None:
@@ -225,6 +231,11 @@ class Simulator:
                 F[:3] += sign * (R.T @ (m + pin.skew(at - p) @ f))
                 F[3:] += sign * (R.T @ f)
         return Touch(F, points, mu)
+
+    def true_distance(self, pairs: Sequence[tuple[int, int]]) -> float:
+        """The least distance of pairs of geoms in the last tick, of those that meet less than zero [m]."""
+        model, data, beyond = self.model, self.data, 1.0
+        return min(mujoco.mj_geomDistance(model, data, a, b, beyond, None) for a, b in pairs)
 
     def true_com(self) -> Array:
         """(3,) the robot's centre of mass at the last tick, in the world."""

@@ -13,6 +13,18 @@ def _closing(gap: float, soft: float, j: float, settle: float) -> float:
     return min(math.sqrt(soft * soft + j * max(gap, 0.0)) - soft, gap / settle)
 
 
+@inner
+def _towards(room: float, speed: float, a: float, lead: float, back: float, j: float, settle: float) -> float:
+    """m(w - v) - w' v of `limit`, at a `room` to the edge that is closed with v = `speed`."""
+    root = math.sqrt(lead * lead + 2.0 * a * max(room, 0.0))
+    w, slope = root - lead, a / root
+    if room < 0.0:  # beyond it: back along the same slope, no faster than `back`
+        w = room * slope
+        if w < back:
+            w, slope = back, 0.0
+    return _closing(w - speed, 0.5 * settle * j, j, settle) - slope * speed
+
+
 @compiled(NOTHING, v, v, F, m, F, V, V)
 def braking_bounds(q: Array, v: Array, dt: float, sides: Array, settle: float, lo: Array, hi: Array) -> None:
     """Bounds on vdot of `limit`; `sides` (7, 2 n): edge, v_max, a, l, the way back, j, a_max, upper then lower."""
@@ -22,19 +34,29 @@ def braking_bounds(q: Array, v: Array, dt: float, sides: Array, settle: float, l
             sign = 1.0 - 2.0 * side
             k = i + side * n
             edge, v_max, a, lead, back, j = sides[0, k], sides[1, k], sides[2, k], sides[3, k], sides[4, k], sides[5, k]
-            soft = 0.5 * settle * j
             speed, room = sign * v[i], edge - sign * (q[i] + dt * v[i])
-            most = min(_closing(v_max - speed, soft, j, settle), sides[6, k])
+            most = min(_closing(v_max - speed, 0.5 * settle * j, j, settle), sides[6, k])
             if room < math.inf:
-                root = math.sqrt(lead * lead + 2.0 * a * max(room, 0.0))
-                slope = a / root
-                w = root - lead + max(min(room, 0.0) * slope, back)
-                most = min(most, _closing(w - speed, soft, j, settle) - slope * speed)
+                most = min(most, _towards(room, speed, a, lead, back, j, settle))
             most = max(most, -a)  # from beyond a limit the model brakes with no more than it has
             if side == 0:
                 hi[i] = most
             else:
                 lo[i], hi[i] = min(-most, hi[i]), max(-most, hi[i])
+
+
+@compiled(NOTHING, m, v, F, V)
+def apart(told: Array, law: Array, dt: float, lo: Array) -> None:
+    """lo of dddot - drift of distances, `told` (rows, 3) = d, ddot and drift; of one that is infinite, -infinite.
+
+    `law`: the distance to keep, a, l, the way back, j and T.
+    """
+    for i in range(told.shape[0]):
+        if told[i, 0] == math.inf:
+            lo[i] = -math.inf
+            continue
+        most = _towards(told[i, 0] + dt * told[i, 1] - law[0], -told[i, 1], law[1], law[2], law[3], law[4], law[5])
+        lo[i] = -max(most, -law[1]) - told[i, 2]
 
 
 @compiled(NOTHING, v, v, v, F, v, v, V, V, V, V)

@@ -40,6 +40,22 @@ RateLimit = Annotated[PerJoint, either("a number, a list, or a mapping from join
 PositionLimit = Annotated[OfModel | Annotated[Margin, Tag("<map>")], either("model or a mapping with margin")]
 
 
+class Collision(Model):
+    """How the robot's own bodies stay apart."""
+
+    distance: Positive = Field(description="distance that they keep [m]")
+    deceleration: Positive | None = Field(default=None, description="with which they brake; 2 by default [m/s^2]")
+    rows: Annotated[int, Strict()] | None = Field(
+        default=None, ge=1, le=64, description="most distances that are bounded at a tick; 16 by default"
+    )
+
+
+ACollision = Annotated[Collision, Tag("<map>")]
+Apart = Annotated[
+    Annotated[Positive, Tag("<number>")] | ACollision, either("a number (the distance) or a mapping with distance")
+]
+
+
 class Limits(Model):
     """Hard limits, the same for all joints, a list, by joint, or of the model."""
 
@@ -48,6 +64,7 @@ class Limits(Model):
     position: PositionLimit | None = Field(default=None, description="joint position [rad]")
     velocity: Limit | None = Field(default=None, description="joint velocity [rad/s]")
     acceleration: RateLimit | None = Field(default=None, description="joint acceleration [rad/s^2]")
+    self_collision: Apart | None = Field(default=None, description="distance of the robot's own bodies [m]")
 
 
 class Noise(Model):
