@@ -20,7 +20,7 @@ SHIPPED = shipped_names("tasks", ".yaml")
 RUN = [name for name in SHIPPED if not load(name).robot.startswith("erd:")]  # the others run by hand: test_urdf.py
 # [s] then they only stand, draw the same figure once more, or go back to where they began
 STILL = dict.fromkeys(("go2_stand", "g1_stand", "g1_line_foot", "g1_slopes", "go2_ride"), 4)
-ENOUGH = {**STILL, "panda_dual_box": 6, "g1_wipe": 3, "g1_wipe_noisy": 3}
+ENOUGH = {**STILL, "g1_sway": 6, "g1_squat": 5, "panda_dual_box": 6, "g1_wipe": 3, "g1_wipe_noisy": 3}
 
 
 @lru_cache
