@@ -330,7 +330,11 @@ def test_every_mutation_is_refused_or_changes_a_number(name: str, tmp_path: Path
         name for name in defaults if name.rsplit(".", 1)[-1] not in GAINS
     } <= DEFAULTS  # what is deleted there is what is assumed there: the same spec
     if not wanted:
-        assert {outcome.verdict for outcome in outcomes} == {"refused", "refused by the build", "changed", "default"}
+        found, kinds = (
+            {outcome.verdict for outcome in outcomes},
+            {"refused", "refused by the build", "changed", "default"},
+        )
+        assert found == kinds if LARGE else {"refused", "changed"} <= found <= kinds  # a sample may miss the others
 
 
 def test_the_campaign_sees_an_unread_key(tmp_path: Path) -> None:
