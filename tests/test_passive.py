@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from wbc.build import build
+from wbc.coordinates import own_coordinates, to_mujoco
 from wbc.errors import ModelError, SpecError
 from wbc.model import open_welds, site_jacobian
 from wbc.robot import Robot
 from wbc.run import run
-from wbc.sim import Simulator, own_coordinates, to_mujoco
+from wbc.sim import Simulator
 from wbc.spec import load
 
 TOOL = """

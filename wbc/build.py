@@ -17,6 +17,7 @@ from .analytic import damping_limit
 from .closing import CLOSED, Goal, Lying, close
 from .contact import Contact
 from .controller import Controller
+from .coordinates import to_mujoco
 from .dynamics import mobility
 from .errors import did_you_mean
 from .exits import exit_of
@@ -33,7 +34,6 @@ from .phase import Phase, prioritised
 from .qp import Array
 from .ride import Ride
 from .robot import Robot
-from .sim import to_mujoco
 from .solver import Solver, make
 from .stability import Pole, damping_margin, force_poles
 from .task import ForceTask, Task

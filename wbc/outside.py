@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -14,23 +14,55 @@ from .qp import Array
 from .ride import Ride
 
 
+class Place(NamedTuple):
+    """Where a frame is, as the plant has it: R and p are those of the tick, whichever it is."""
+
+    body: int  # that carries it
+    R: Array  # (3, 3)
+    p: Array  # (3,)
+
+
+class Places:
+    """Frames of a plant by name, of a site or else of a body; found once."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self.model, self.data = model, data
+        self._found: dict[str, Place] = {}
+
+    def __getitem__(self, frame: str) -> Place:
+        found = self._found.get(frame)
+        if found is None:
+            found = self._found[frame] = self._find(frame)
+        return found
+
+    def _find(self, frame: str) -> Place:
+        model, data = self.model, self.data
+        if has_site(model, frame):
+            site = model.site(frame).id
+            return Place(int(model.site_bodyid[site]), data.site_xmat[site].reshape(3, 3), data.site_xpos[site])
+        body = int(model.body(frame).id)
+        return Place(body, data.xmat[body].reshape(3, 3), data.xpos[body])
+
+
 class Outside:
     """What acts from outside: wrenches on the robot at their frames, bodies of the scene that are moved by hand.
 
     `wrenches` name -> (6,) what the environment applies to the robot, at the frame and in its axes, in the last step.
     """
 
-    def __init__(self, model: mujoco.MjModel, plant: Any, rides: Mapping[str, Ride] | None = None) -> None:
-        self.model = model
+    def __init__(self, places: Places, plant: Any, rides: Mapping[str, Ride] | None = None) -> None:
+        model = places.model
+        self.places, self.data = places, places.data
         self.rides = [_Carried(model, body, ride) for body, ride in (rides or {}).items()]
         self.pushes = dict(plant.pushes) if plant is not None else {}
         self.moves = dict(plant.moves) if plant is not None else {}
         self._courses = {name: _courses(push.wrench) for name, push in self.pushes.items()}
-        self._home = model.body_pos.copy()
+        self._moved = [_Moved(model, body, move) for body, move in self.moves.items()]
         self.wrenches = {name: np.zeros(6) for name in self.pushes}
 
-    def push(self, data: mujoco.MjData) -> None:
+    def push(self) -> None:
         """The forces of this step; in MuJoCo they act at a body's centre of mass, so the moment is moved there."""
+        data = self.data
         for ride in self.rides:
             ride.drive(data)
         if not self.pushes:
@@ -41,19 +73,31 @@ class Outside:
             if push.from_ <= data.time < (np.inf if push.to is None else push.to):
                 for axis, course in self._courses[name].items():
                     F[WRENCH_AXES.index(axis)] = course(data.time - push.from_)
-            body, R, p = carried(self.model, data, push.frame)
+            body, R, p = self.places[push.frame]
             f = R @ F[3:]
             data.xfrc_applied[body, :3] += f
             data.xfrc_applied[body, 3:] += R @ F[:3] + pin.skew(p - data.xipos[body]) @ f
 
-    def move(self, data: mujoco.MjData) -> None:
+    def move(self) -> None:
+        """Put bodies of the scene where they are to be at this step."""
         for ride in self.rides:
-            ride.move(data)
-        for body, move in self.moves.items():
-            index = self.model.body(body).id
-            along = np.array(move.along) / np.linalg.norm(np.array(move.along))
-            shift = sines(move.sine)(data.time - move.from_) if data.time >= move.from_ else 0.0
-            data.mocap_pos[self.model.body_mocapid[index]] = self._home[index] + shift * along
+            ride.move(self.data)
+        for moved in self._moved:
+            moved.move(self.data)
+
+
+class _Moved:
+    """A mocap body that is shifted along a line."""
+
+    def __init__(self, model: mujoco.MjModel, body: str, move: Any) -> None:
+        index = model.body(body).id
+        self._mocap, self._home = model.body_mocapid[index], model.body_pos[index].copy()
+        self._along = np.array(move.along) / np.linalg.norm(np.array(move.along))
+        self._from, self._course = move.from_, sines(move.sine)
+
+    def move(self, data: mujoco.MjData) -> None:
+        shift = self._course(data.time - self._from) if data.time >= self._from else 0.0
+        data.mocap_pos[self._mocap] = self._home + shift * self._along
 
 
 class _Carried:
@@ -103,15 +147,6 @@ def _courses(wrench: Any) -> dict[str, Callable[[float], float]]:
 
 def _always(value: float) -> Callable[[float], float]:
     return lambda t: value
-
-
-def carried(model: mujoco.MjModel, data: mujoco.MjData, frame: str) -> tuple[int, Array, Array]:
-    """The body that carries a site, or is called so, and the frame's rotation and place."""
-    if has_site(model, frame):
-        site = model.site(frame).id
-        return int(model.site_bodyid[site]), data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
-    body = int(model.body(frame).id)
-    return body, data.xmat[body].reshape(3, 3), data.xpos[body]
 
 
 def has_site(model: mujoco.MjModel, name: str) -> bool:

@@ -29,8 +29,9 @@ from .phase import Phase, hold
 from .relative import GazeTask
 from .response import Bode, described, responses
 from .robot import State, Terms
-from .sim import Observation, Simulator, Touch, carrier
+from .sim import Observation, Simulator, carrier
 from .task import ForceTask, MotionTask
+from .touch import Touch
 from .transition import STOP
 from .wrench import WRENCH_AXES, Wrench
 

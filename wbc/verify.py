@@ -18,6 +18,7 @@ import pinocchio as pin
 
 from .build import Built, build
 from .controller import Controller, Memory, Phase, Status
+from .coordinates import to_mujoco
 from .errors import SpecError
 from .faults import Faults, Place
 from .impedance import Compliance, Felt
@@ -31,7 +32,7 @@ from .qp import Array
 from .relative import RelativeTask
 from .robot import State
 from .run import run
-from .sim import carrier, to_mujoco
+from .sim import carrier
 from .solver import Solver
 from .spec import Spec
 from .task import ForceLoop, ForceTask, MotionTask, PostureTask

@@ -10,12 +10,14 @@ from .limit import braking_bounds, torque_window
 from .motion import computed_torque, frame, log, point_target, pose_errors, relative, shift
 from .null_space import least_squares, root
 from .program import active, add_rows, add_square, equations, residuals, torque, total
+from .touch import angle, slip, touch
 
 __all__ = [
     "active",
     "add_rows",
     "add_square",
     "advance",
+    "angle",
     "braking_bounds",
     "carried",
     "computed_torque",
@@ -40,10 +42,12 @@ __all__ = [
     "settle",
     "share",
     "shift",
+    "slip",
     "spring",
     "torque",
     "torque_window",
     "total",
+    "touch",
     "wanted",
     "within",
 ]

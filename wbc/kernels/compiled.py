@@ -10,6 +10,7 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int32]
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 NOTHING: Any = types.void
@@ -19,6 +20,7 @@ F: Any = types.float64
 THREE: Any = types.UniTuple(F, 3)  # type: ignore[no-untyped-call]
 v, m = (types.Array(F, ndim, "A", readonly=True) for ndim in (1, 2))  # read only, any strides
 V, M = (types.Array(F, ndim, "A") for ndim in (1, 2))  # written to
+INDICES, PAIRS = (types.Array(types.int32, ndim, "A", readonly=True) for ndim in (1, 2))  # as MuJoCo numbers things
 
 
 def compiled(result: Any, *arguments: Any) -> Callable[[_Function], _Function]:
