@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from . import kernels
 from .analytic import capped_friction, critical_friction, inner_cone, sliding_direction, sliding_map
 from .errors import WrenchError
 from .qp import Array, Rows
@@ -37,6 +38,10 @@ class Cone(NamedTuple):
     across: Array  # (m, k) f_t, the force that is held across the push
     lift: Array  # (k, m) multipliers of unit forces across
     up: Array  # (k,) multipliers of a unit push
+
+    def excess(self, lam: Array) -> float:
+        """How far multipliers (k,) are beyond it [N, N m]."""
+        return max(0.0, float((self.least - self.rows.dot(lam)).max()))
 
     def cut(self, lam: Array) -> tuple[Array, str]:
         """(k,) the multipliers with the least push or more, then f_t scaled into the cone; what cut them, or ""."""
@@ -154,8 +159,7 @@ class Unilateral:
         across = np.concatenate(rows)
         told = {"push": d.dot(F[3:]), "drag": across.dot(F[3:]), "slip": across.dot(frame.V[3:])}
         if self.place is not None:
-            n, body = self.place.dot(self.d), frame.T.rotation.dot(self.d)
-            told["tilt"] = np.arctan2(np.linalg.norm(np.cross(n, body)), n.dot(body))
+            told["tilt"] = kernels.angle(self.place.dot(self.d), frame.R.dot(self.d))
         return told
 
     def capped(self, free: Array, measured: Array, turn: Array | None) -> Array:

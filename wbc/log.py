@@ -31,12 +31,11 @@ class Log:
 
     def put(self, **values: Any) -> None:
         """More of the same tick."""
-        i = self.size - 1
+        i, arrays = self.size - 1, self._arrays
         for name, value in values.items():
-            array = self._arrays.get(name)
-            if array is None:
-                array = self._arrays[name] = np.full((self.ticks, *np.shape(value)), np.nan)
-            array[i] = value
+            if name not in arrays:
+                arrays[name] = np.full((self.ticks, *np.shape(value)), np.nan)
+            arrays[name][i] = value
 
     def __contains__(self, name: str) -> bool:
         return name in self._arrays

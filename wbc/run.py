@@ -6,36 +6,29 @@ import gc
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import analytic, material, stance
+from . import material
 from .build import Built
-from .centroidal import MomentumTask
-from .contact import Contact
-from .controller import Controller, Output, Status
-from .dynamics import mobility, unheld
+from .controller import Controller, Output
 from .errors import SimulationError
 from .feeling import unfelt
 from .impedance import Compliance
 from .log import Log
-from .metrics import APART, metrics
+from .metrics import metrics
 from .model import quietly
-from .phase import Phase, hold
-from .relative import GazeTask
+from .phase import Phase
+from .record import STATUS_NAMES, Recorder
 from .response import Bode, described, responses
-from .robot import State, Terms
+from .robot import State
 from .sim import Observation, Simulator, carrier
 from .task import ForceTask, MotionTask
-from .touch import Touch
-from .transition import STOP
 from .wrench import WRENCH_AXES, Wrench
-
-STATUS_NAMES = [status.name for status in Status]
 
 
 @dataclass(frozen=True)
@@ -85,7 +78,6 @@ def run(
     if spec.tare:
         simulator.tare(controller.state)
     broken, began = "", time.perf_counter()
-    gc.collect()
     gc.freeze()  # what is built stays: the collector need not look at it every tick
     try:
         with quietly():  # what MuJoCo warns of ends the run, with the warning in the error
@@ -104,77 +96,28 @@ def _loop(
 ) -> None:
     controller = built.controller
     before: tuple[Observation, Output, State] | None = None
-    contacts = {name: contact for phase in built.phases for name, contact in phase.contacts.items()}
     deaf = unfelt(built.robot, built.phases)
     feeling = [name for phase in built.phases for name in phase.feeling if name not in deaf]
-    feet, apart = _sensitive(built.phases), _apart(built.phases)
-    touched = dict.fromkeys(contacts, True)
-    true: dict[str, Touch] = {}
-    terms = None if simulator.encoders is None or simulator.encoders.exact else Terms(built.robot)
+    feet, recorder = _sensitive(built.phases), Recorder(built, simulator, log)
     for tick in range(ticks):
         seen = simulator.observe()
         measured = _measured(simulator, controller, before, seen)
         given = dict.fromkeys(feeling, measured) if measured is not None else None
-        if true and feet:
-            given = (given or {}) | {name: simulator.sensed(true[name].F, frame) for name, frame in feet.items()}
+        if recorder.true and feet:
+            felt = {name: simulator.sensed(recorder.true[name].F, frame) for name, frame in feet.items()}
+            given = (given or {}) | felt
         began = time.perf_counter()
         out = controller.step(seen.t, seen.q, seen.v, measured=given)
         took = time.perf_counter() - began
         simulator.apply(out.tau)
-        true = {name: simulator.true_touch(contact.frame) for name, contact in contacts.items()}
         before = (seen, out, controller.state)
-        state = controller.state if terms is None else _true_state(controller, simulator, terms)
-        true_seen = Observation(seen.t, *simulator.true_state)
-        row = _row(controller, state, true_seen, out, took) | _contact_rows(state, out, contacts, true)
-        for name, contact in contacts.items():
-            touching = bool(true[name].F.any())
-            if touching and not touched[name] and name not in controller.phase.contacts:
-                row[f"{name}.predicted_peak"] = _predicted_peak(simulator, controller.state, contact)
-            touched[name] = touching
-        if apart:
-            row[APART] = simulator.true_distance(apart)
-        log.append(out.active, **row)
-        _record_pushes(log, controller, simulator)
-        if built.robot.base:
-            stance.record(log, controller, state, simulator, out, contacts)
-        _note_phase(log, controller, seen.t, out)
+        recorder.record(seen.t, out, took)
         if hook is not None:
             hook(seen, out)
         if show is not None:
             show(simulator)
         if progress is not None and tick % 50 == 49:
             progress(tick + 1)
-
-
-def _true_state(controller: Controller, simulator: Simulator, terms: Terms) -> State:
-    """The state as it is where the controller only knows it with the noise of encoders, with what it wants there."""
-    known = controller.state
-    state = State(terms, *simulator.true_state, known.t, known.dt)
-    state.starts, state.targets, state.measured = known.starts, known.targets, known.measured
-    state.grounds = known.grounds
-    hold(state, controller.phase)
-    return state
-
-
-def _predicted_peak(simulator: Simulator, state: State, contact: Contact) -> float:
-    """The closed form of the impact that begins at this tick [N]; not a number unless it is one point that touches."""
-    impact = simulator.impact(contact.frame)
-    if impact is None:
-        return math.nan
-    row = state.frame(contact.frame).R.T @ impact.normal @ contact.seen(state).J[3:]
-    mass = 1.0 / float(row @ state.solve_M(row[:, None])[:, 0])  # [kg]
-    share = 1.0 / (1.0 / mass + impact.regularisation)
-    speed = max(float(row @ state.v), 0.0)
-    return analytic.impact_peak(mass, share * impact.damping, share * impact.stiffness, speed)
-
-
-def _note_phase(log: Log, controller: Controller, t: float, out: Output) -> None:
-    """Which phase runs since when and why, or that all has stopped."""
-    memory, phase, changes = controller.memory, controller.phase, log.meta["changes"]
-    assert memory is not None
-    name = STOP if memory.why and out.status is Status.STOPPED else phase.name
-    if not changes or changes[-1]["name"] != name:
-        changes.append({"name": name, "start": t, "why": memory.why})
 
 
 def _measured(
@@ -187,84 +130,6 @@ def _measured(
     then, out, state = before
     vdot = (seen.v - then.v) / (seen.t - then.t) if controller.phase.compliant else out.vdot
     return simulator.measured(state, vdot)
-
-
-def _record_pushes(log: Log, controller: Controller, simulator: Simulator) -> None:
-    """The true pushes, and the true motion that compliant tasks answer them with."""
-    state, row = controller.state, dict[str, Any]()
-    for name in simulator.pushes:
-        row[f"{name}.true"] = simulator.true_push(name)
-        row[f"{name}.mobility"] = unheld(state, state.frame(simulator.pushes[name]).J)
-    for name, task in controller.phase.compliant.items():
-        (T, V), desired, S = simulator.true_motion(task.frame), task.desired(state), task.selection(state)
-        X_e, V_e, ahead = task.errors(T, V, desired)
-        lift = task.lift(state)
-        row |= {f"{name}.displacement": -S @ X_e, f"{name}.rate": -S @ V_e, f"{name}.mobility": task.mobility(state)}
-        row |= {f"{name}.twist": S @ V, f"{name}.ahead": S @ ahead}
-        row |= {f"{name}.external": -lift.T @ simulator.true_external(task.frame), f"{name}.felt": task.push(state)}
-        row |= {f"{name}.error": lift @ (S @ X_e), f"{name}.speed": np.linalg.norm(V[3:])}
-        row |= {f"{name}.position": T.translation, f"{name}.desired": desired.T.translation}
-    for name, held in state.contacts.items() if simulator.moves else ():
-        T, _ = simulator.true_motion(held.frame)
-        row |= {f"{name}.place": T.translation, f"{name}.mobility": mobility(state, held.G)}
-    log.put(**row)
-
-
-def _row(controller: Controller, state: State, seen: Observation, out: Output, took: float) -> dict[str, Any]:
-    """What a tick leaves in the log, of what truly is, all but what the contacts do."""
-    phase, memory = controller.phase, controller.memory
-    assert memory is not None
-    row: dict[str, Any] = {
-        "t": seen.t, "q": seen.q, "v": seen.v, "vdot": out.vdot, "tau": memory.tau, "tau_min": phase.torque.low,
-        "tau_max": phase.torque.high, "torque_rate_limit": phase.torque.rate,
-        "status": STATUS_NAMES.index(out.status.name),
-        "step_us": took * 1e6, "kkt": max(out.certificate), "phase": memory.phase,
-    }  # fmt: skip
-    for name, task in phase.tasks.items():
-        if isinstance(task, ForceTask):
-            row[f"{task.contact}.target"] = task.desired(state)
-            row[f"{task.contact}.wanted"] = state.contacts[task.contact].A.T @ row[f"{task.contact}.target"]
-        elif isinstance(task, MotionTask):
-            frame, desired = task.seen(state), task.desired(state)
-            row |= {f"{name}.error": task.error(state), f"{name}.along": task.along(state)}
-            row |= {f"{name}.position": frame.T.translation, f"{name}.desired": desired.T.translation}
-            row[f"{name}.speed"] = np.linalg.norm(frame.V[3:])
-            row[f"{name}.desired_speed"] = np.linalg.norm(desired.V[3:])
-        elif isinstance(task, GazeTask):
-            row[f"{name}.angle"] = task.angle(state)
-        elif isinstance(task, MomentumTask):
-            row[f"{name}.lacking"] = task.error(state)
-    return row
-
-
-def _contact_rows(
-    state: State, out: Output, contacts: Mapping[str, Contact], true: Mapping[str, Touch]
-) -> dict[str, Any]:
-    """True, predicted and measured wrenches, also of contacts that are not active."""
-    row, unknown = dict[str, Any](), np.full(6, np.nan)
-    for name, contact in contacts.items():
-        held = state.contacts.get(name)
-        inverse = contact.pseudo_inverse(contact.A(state)) if held is None else held.inverse
-        row |= {f"{name}.true": true[name].F, f"{name}.lam": inverse @ true[name].F}
-        row[f"{name}.carried"] = (contact.A(state) if held is None else held.A).T @ row[f"{name}.lam"]
-        row[f"{name}.rate"] = np.full(contact.k, np.nan) if held is None else held.slip
-        row |= {f"{name}.points": true[name].points, f"{name}.mu": true[name].mu}
-        if held is not None and contact.pushes is not None:
-            told = contact.pushes.told(contact, state, true[name].F)
-            row |= {f"{name}.{quantity}": value for quantity, value in told.items()}
-        row[f"{name}.predicted"] = out.wrenches.get(name, unknown)
-        row[f"{name}.asked"] = inverse @ row[f"{name}.predicted"]
-        row[f"{name}.measured"] = state.measured.get(name, unknown)
-    return row
-
-
-def _apart(phases: Sequence[Phase]) -> list[tuple[int, int]]:
-    """Pairs of geoms that some phase keeps apart."""
-    limits = [phase.collision for phase in phases if phase.collision is not None]
-    found = {
-        (limit.pairs.shapes.geoms[a], limit.pairs.shapes.geoms[b]) for limit in limits for a, b in limit.pairs.pairs
-    }
-    return sorted(found)
 
 
 def _sensitive(phases: Sequence[Phase]) -> dict[str, str]:

@@ -37,9 +37,11 @@ from .task import MotionTask
 
 if TYPE_CHECKING:
     from .contact import Contact
-    from .controller import Controller, Output
-    from .robot import State
+    from .controller import Output
+    from .phase import Phase
+    from .robot import Robot, State
     from .sim import Simulator
+    from .touch import Touch
 
 REST = 1e-5  # [rad/s, m/s] largest velocity at rest
 RECOVERED = 0.02  # [rad/s, m/s] the same after a push
@@ -48,39 +50,50 @@ _ERRORS = ("rms_error", "max_error")
 _LOGGED = {"position": "away", "internal": "lacking"}
 
 
-def record(
-    log: Log, controller: Controller, state: State, simulator: Simulator, out: Output, contacts: Mapping[str, Contact]
-) -> None:
-    """One tick, at its true state."""
-    row = dict[str, Any]()
-    gravity = state.robot.model.gravity.linear
-    weight = load(state) * float(np.linalg.norm(gravity))
-    carried, dt = np.zeros(3), controller.dt
-    for name, task in controller.phase.tasks.items():
-        if isinstance(task, ComTask):
-            row[f"{name}.away"] = task.desired(state)[0] - simulator.true_com()
-        if isinstance(task, DistributionTask) and task.press:
-            lam = {contact: log[f"{contact}.lam"][-1] for contact in state.contacts}
-            row[f"{name}.lacking"] = np.atleast_1d(np.subtract(*task.internal(state, lam)))
-    for name, contact in contacts.items():
-        speeds = simulator.true_slip(contact.frame)
-        past = log[f"{name}.way"][-2] if f"{name}.way" in log and log.size > 1 else np.zeros(speeds.shape)
-        row[f"{name}.place"] = state.frame(contact.frame).T.translation
-        row[f"{name}.way"] = past + dt * speeds
-        held = state.contacts.get(name)
-        if held is None or name not in out.wrenches:
-            continue
-        true, asked = log[f"{name}.true"][-1], out.wrenches[name]
-        carried += on_base(state, held.seen, asked)
-        row[f"{name}.unnoticed"] = float(not true.any() and float(np.linalg.norm(asked[3:])) > COUNTED * weight)
-        row[f"{name}.unforeseen"] = np.abs(asked - true).max() / weight
-        if held.cone is not None:
-            for which, F in (("excess", true), ("asked_excess", asked)):
-                beyond = held.cone.least - held.cone.rows @ (held.inverse @ F)
-                row[f"{name}.{which}"] = max(0.0, float(beyond.max()))
-    if out.wrenches:
-        row["weight.error"] = abs(float(carried @ gravity) / (weight * float(np.linalg.norm(gravity))) - 1.0)
-    log.put(**row)
+class Standing:
+    """Records how a robot stands, a row a tick; `dt` [s] of a tick."""
+
+    def __init__(self, robot: Robot, simulator: Simulator, dt: float) -> None:
+        self._simulator, self._dt = simulator, dt
+        gravity = robot.model.gravity.linear
+        self._g = float(np.linalg.norm(gravity))
+        self._down = gravity / self._g if self._g else gravity
+        self._ways: dict[str, Array] = {}  # (points, 3) that the points of each contact have gone so far
+
+    def record(
+        self,
+        row: dict[str, Any],
+        phase: Phase,
+        state: State,
+        out: Output,
+        contacts: Mapping[str, Contact],
+        true: Mapping[str, Touch],
+    ) -> None:
+        """One tick, at its true state; `row` has what the contacts carry, and gets the rest."""
+        weight, down = load(state) * self._g, 0.0
+        for name, task in phase.tasks.items():
+            if isinstance(task, ComTask):
+                row[f"{name}.away"] = task.desired(state)[0] - self._simulator.true_com()
+            if isinstance(task, DistributionTask) and task.press:
+                lam = {contact: row[f"{contact}.lam"] for contact in state.contacts}
+                row[f"{name}.lacking"] = np.atleast_1d(np.subtract(*task.internal(state, lam)))
+        for name, contact in contacts.items():
+            speeds = self._simulator.true_slip(contact.frame)
+            way = self._ways[name] = self._ways.get(name, 0.0) + self._dt * speeds
+            row[f"{name}.place"], row[f"{name}.way"] = state.frame(contact.frame).p, way
+            held = state.contacts.get(name)
+            if held is None or name not in out.wrenches:
+                continue
+            F, asked = true[name].F, out.wrenches[name]
+            down += float(self._down.dot(on_base(state, held.seen, asked)))
+            counted = math.sqrt(asked[3:].dot(asked[3:])) > COUNTED * weight
+            row[f"{name}.unnoticed"] = float(counted and not F.any())
+            row[f"{name}.unforeseen"] = np.abs(asked - F).max() / weight
+            if held.cone is not None:
+                row[f"{name}.excess"] = held.cone.excess(held.inverse.dot(F))
+                row[f"{name}.asked_excess"] = held.cone.excess(held.inverse.dot(asked))
+        if out.wrenches:
+            row["weight.error"] = abs(down / weight - 1.0)
 
 
 def _followed(task: Any) -> str:

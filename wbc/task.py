@@ -112,15 +112,22 @@ class MotionTask:
         start = state.starts.get(self)
         return self.reference(state.t) if start is None else start.sample(self.reference, state.t)
 
-    def along(self, state: State) -> Array:
-        """(s,) X_e, with [X_e] = log(T^-1 T_d), along the rows that pick the task's axes [rad, m]."""
-        X_e = pin.log6(self.seen(state).T.actInv(self.desired(state).T)).vector[_ORDER]
+    def along(self, state: State, desired: Sample | None = None) -> Array:
+        """(s,) X_e, with [X_e] = log(T^-1 T_d), along the rows that pick the task's axes [rad, m].
+
+        `desired`: the reference at this tick, where it is known already.
+        """
+        desired = self.desired(state) if desired is None else desired
+        X_e = pin.log6(self.seen(state).T.actInv(desired.T)).vector[_ORDER]
         return np.asarray(self._select(state) @ X_e, float)
+
+    def lift(self, state: State) -> Array:
+        """(6, s) from what is along those rows to the axes of the frame."""
+        return self.selection.T if self.contact is None else np.asarray(state.contacts[self.contact].lift)
 
     def error(self, state: State) -> Array:
         """(6,) X_e on the task's axes alone [rad, m]."""
-        lift = self.selection.T if self.contact is None else state.contacts[self.contact].lift
-        return np.asarray(lift @ self.along(state), float)
+        return np.asarray(self.lift(state) @ self.along(state), float)
 
     def _select(self, state: State) -> Array:
         rows: Array = self.selection if self.contact is None else state.contacts[self.contact].free
