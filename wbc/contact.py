@@ -64,7 +64,7 @@ class Held:
     def lift(self) -> Array:
         """(6, 6 - k) pseudo-inverse of the free rows."""
         if self._lifted is not self.free:
-            self._lifted, self._lift = self.free, np.asarray(np.linalg.pinv(self.free), float)
+            self._lifted, self._lift = self.free, np.linalg.solve(self.free.dot(self.free.T), self.free).T
         return self._lift
 
     def unconstrained(self, F: Array) -> Array:

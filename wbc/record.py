@@ -130,7 +130,7 @@ def _of_tasks(row: Row, phase: Phase, state: State) -> None:
             row[f"{task.contact}.wanted"] = state.contacts[task.contact].A.T @ target
         elif isinstance(task, MotionTask):
             frame, desired = task.seen(state), task.desired(state)
-            along = row[f"{name}.along"] = task.along(state, desired)
+            along = row[f"{name}.along"] = task.along(state)
             row[f"{name}.error"] = task.lift(state) @ along
             row[f"{name}.position"], row[f"{name}.desired"] = frame.p, desired.p
             row[f"{name}.speed"], row[f"{name}.desired_speed"] = _speed(frame.V), _speed(desired.V)

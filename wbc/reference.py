@@ -231,8 +231,9 @@ def advanced(S: Array, s: float, rate: float, bend: float, sample: Sample) -> Sa
     step = pin.exp6(pin.Motion(S[3:] * s, S[:3] * s))
     motion = seen_from(step, sample.motion)
     w, v = motion[:3, 0], motion[3:, 0]
-    motion[:3, 1] -= rate * np.cross(S[:3], w)
-    motion[3:, 1] -= rate * (np.cross(S[3:], w) + np.cross(S[:3], v))
+    turn = pin.skew(S[:3])
+    motion[:3, 1] -= rate * turn.dot(w)
+    motion[3:, 1] -= rate * (pin.skew(S[3:]).dot(w) + turn.dot(v))
     motion[:, 0] += S * rate
     motion[:, 1] += S * bend
     return Sample(sample.T * step, motion)

@@ -82,6 +82,7 @@ class MotionTask:
         self.raw = law == "book" and contact is not None  # tracks the raw y of the book on all axes
         self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
         self.robot_axes = list(robot_axes)
+        self._told: tuple[float, Any, Sample] | None = None  # when, since which start, what: of the last tick
         self.Kp, self.Kd = self._lift(kp, "kp"), self._lift(kd, "kd")
         self._K = np.hstack((self.Kp, self.Kd))
 
@@ -110,15 +111,14 @@ class MotionTask:
     def desired(self, state: State) -> Sample:
         """The reference as it is followed at this tick: since the task began, led in from where the frame was then."""
         start = state.starts.get(self)
-        return self.reference(state.t) if start is None else start.sample(self.reference, state.t)
+        if self._told is None or self._told[0] != state.t or self._told[1] is not start:
+            sample = self.reference(state.t) if start is None else start.sample(self.reference, state.t)
+            self._told = (state.t, start, sample)
+        return self._told[2]
 
-    def along(self, state: State, desired: Sample | None = None) -> Array:
-        """(s,) X_e, with [X_e] = log(T^-1 T_d), along the rows that pick the task's axes [rad, m].
-
-        `desired`: the reference at this tick, where it is known already.
-        """
-        desired = self.desired(state) if desired is None else desired
-        X_e = pin.log6(self.seen(state).T.actInv(desired.T)).vector[_ORDER]
+    def along(self, state: State) -> Array:
+        """(s,) X_e, with [X_e] = log(T^-1 T_d), along the rows that pick the task's axes [rad, m]."""
+        X_e = pin.log6(self.seen(state).T.actInv(self.desired(state).T)).vector[_ORDER]
         return np.asarray(self._select(state) @ X_e, float)
 
     def lift(self, state: State) -> Array:
