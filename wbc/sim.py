@@ -64,7 +64,9 @@ class Simulator:
         self._rng = np.random.default_rng(seed)
         self.encoders = Encoders(robot.model, self._noise, dt, self._rng) if self._noise is not None else None
         self._delayed: deque[Array] = deque(maxlen=(plant.delay if plant is not None else 0) + 1)
-        self._sensor = ForceSensor(robot) if all(_has_sensor(self.model, name) for name in SENSORS) else None
+        sensed = all(_has_sensor(self.model, name) for name in SENSORS)
+        self._sensor = ForceSensor(robot) if sensed else None
+        self._readings = [self.data.sensor(name).data for name in SENSORS] if sensed else []
         self._motors = _actuators(self.model, own[robot.base :])
         self._driver = robot.model.createData()
         self._places = Places(self.model, self.data)
@@ -132,7 +134,7 @@ class Simulator:
             self._sensor = self._sensor.tare(self._reading(), state, self.data.qacc)
 
     def _reading(self) -> Array:
-        reading = np.concatenate([self.data.sensor(name).data for name in SENSORS])
+        reading = np.concatenate(self._readings)
         if self._noise is not None:
             reading += (*self._noise.bias.moment, *self._noise.bias.force)
             if self._noise.force or self._noise.moment:
