@@ -87,6 +87,7 @@ class Unilateral:
         self._sides, self._share = cone[:, : len(held)], -cone[:, 2]
         self._least = np.concatenate(([least], np.zeros(len(cone))))
         self._most = np.full(1 + len(cone), np.inf)
+        self._across = np.concatenate((held, slides))
         self._lifted = False
         self._kept: Cone | None = None  # of a contact whose cone never changes
 
@@ -154,9 +155,9 @@ class Unilateral:
 
     def told(self, contact: Contact, state: State, F: Array) -> dict[str, Any]:
         """What a wrench (6,) means at a surface: push [N], drag (2,) and the slip (2,) [m/s] across it, tilt [rad]."""
-        frame = contact.seen(state)
-        d, *rows = self.turned(contact, state)
-        across = np.concatenate(rows)
+        frame, turn, d, across = contact.seen(state), contact.turn(state), self.d, self._across
+        if turn is not None:
+            d, across = turn.dot(d), across.dot(turn.T)
         told = {"push": d.dot(F[3:]), "drag": across.dot(F[3:]), "slip": across.dot(frame.V[3:])}
         if self.place is not None:
             told["tilt"] = kernels.angle(self.place.dot(self.d), frame.R.dot(self.d))

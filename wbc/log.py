@@ -27,10 +27,13 @@ class Log:
         """One tick: numbers and vectors by name (`board__true` is stored as `board.true`)."""
         self.active.append(active)
         self.size += 1
-        self.put(**values)
+        self._put(values)
 
     def put(self, **values: Any) -> None:
         """More of the same tick."""
+        self._put(values)
+
+    def _put(self, values: Mapping[str, Any]) -> None:
         i, arrays = self.size - 1, self._arrays
         for name, value in values.items():
             if name not in arrays:

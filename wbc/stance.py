@@ -90,8 +90,8 @@ class Standing:
             row[f"{name}.unnoticed"] = float(counted and not F.any())
             row[f"{name}.unforeseen"] = np.abs(asked - F).max() / weight
             if held.cone is not None:
-                row[f"{name}.excess"] = held.cone.excess(held.inverse.dot(F))
-                row[f"{name}.asked_excess"] = held.cone.excess(held.inverse.dot(asked))
+                row[f"{name}.excess"] = held.cone.excess(row[f"{name}.lam"])
+                row[f"{name}.asked_excess"] = held.cone.excess(row[f"{name}.asked"])
         if out.wrenches:
             row["weight.error"] = abs(down / weight - 1.0)
 

@@ -19,7 +19,7 @@ from . import kernels
 from .outside import Places
 from .qp import Array
 
-_AXES = np.eye(3)
+_ZERO, _CONJUGATE = np.zeros(1), np.array([1.0, -1.0, -1.0, -1.0])
 
 
 class Impact(NamedTuple):
@@ -153,29 +153,32 @@ class Truth:
         """Every weld and connection of two sites.
 
         The rows of a weld are s vec(q_2^* q_1), whose rate is s/2 vec(q_2^* w q_1) for a relative angular velocity w:
-        the moment follows from the multipliers by the transpose.
+        the moment follows from the multipliers by the transpose, s/2 vec(q_2 lambda q_1^*).
         """
         model, data = self.model, self.data
         if not self._welds or not data.ne:
             return
         rows = np.flatnonzero(data.efc_type[: data.ne] == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        ids, forces = data.efc_id[rows], data.efc_force[rows]
         for i in self._welds:
-            own = rows[data.efc_id[rows] == i]
-            if not own.size:
+            lam = forces[ids == i]
+            if not lam.size:
                 continue
-            sites = [model.eq_obj1id[i], model.eq_obj2id[i]]
-            m, f = np.zeros(3), data.efc_force[own[:3]].copy()
+            sites, m = [model.eq_obj1id[i], model.eq_obj2id[i]], np.zeros(3)
             if model.eq_type[i] == mujoco.mjtEq.mjEQ_WELD:
-                q = np.empty((2, 4))
-                for k, site in enumerate(sites):
-                    # not from the rotation matrix: the sign of the quaternion counts
-                    mujoco.mju_mulQuat(q[k], data.xquat[model.site_bodyid[site]], model.site_quat[site])
-                back, turn, product = q[1] * (1, -1, -1, -1), np.empty(4), np.empty(4)
-                for k in range(3):
-                    mujoco.mju_mulQuatAxis(turn, back, _AXES[k])
-                    mujoco.mju_mulQuat(product, turn, q[0])
-                    m[k] = 0.5 * model.eq_data[i, 10] * product[1:] @ data.efc_force[own[3:]]
-            yield Weld(data.site_xpos[sites[0]], m, f, model.site_bodyid[sites])
+                # not from the rotation matrices: the signs of the quaternions count
+                q_1, q_2 = (self._quaternion(site) for site in sites)
+                turned = np.concatenate((_ZERO, lam[3:]))
+                mujoco.mju_mulQuat(turned, q_2, turned.copy())
+                mujoco.mju_mulQuat(turned, turned.copy(), q_1 * _CONJUGATE)
+                m = 0.5 * model.eq_data[i, 10] * turned[1:]
+            yield Weld(data.site_xpos[sites[0]], m, lam[:3], model.site_bodyid[sites])
+
+    def _quaternion(self, site: int) -> Array:
+        """(4,) of a site in the world, wxyz."""
+        q = np.empty(4)
+        mujoco.mju_mulQuat(q, self.data.xquat[self.model.site_bodyid[site]], self.model.site_quat[site])
+        return q
 
 
 def _moves(model: mujoco.MjModel) -> Array:
