@@ -3,7 +3,7 @@
 Plain loops over small dense arrays; the theory is told where they are called. Signatures are explicit.
 """
 
-from .algebra import gauss, inverse, mobility, within
+from .algebra import gauss, inverse, minimum, mobility, within
 from .contact import carried, edge, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
 from .limit import braking_bounds, torque_window
@@ -28,6 +28,7 @@ __all__ = [
     "inverse",
     "least_squares",
     "log",
+    "minimum",
     "mobility",
     "point_target",
     "pose_errors",
