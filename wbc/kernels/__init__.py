@@ -7,7 +7,7 @@ from .algebra import gauss, inverse, minimum, mobility, within
 from .contact import carried, edge, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
 from .limit import braking_bounds, torque_window
-from .motion import computed_torque, frame, log, point_target, pose_errors, relative, shift
+from .motion import computed_torque, frames, log, point_target, pose_errors, relative, shift
 from .null_space import least_squares, root
 from .program import active, add_rows, add_square, equations, residuals, torque, total
 
@@ -22,7 +22,7 @@ __all__ = [
     "edge",
     "equations",
     "feedback",
-    "frame",
+    "frames",
     "gauss",
     "height",
     "inverse",

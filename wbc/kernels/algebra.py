@@ -238,7 +238,7 @@ def minimum(stack: Array, g: Array, lo: Array, hi: Array, n_eq: int, most: float
                     rest = max(rest, abs(value[i] - lo[i]) / (1.0 + abs(lo[i])))
         if rest <= 1e-12:
             break
+    inside = True
     for i in range(rows):
-        if not (lo[i] - most <= value[i] <= hi[i] + most):
-            return False
-    return True
+        inside = inside and lo[i] - most <= value[i] <= hi[i] + most
+    return inside

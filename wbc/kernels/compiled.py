@@ -10,6 +10,7 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 NOTHING: Any = types.void
@@ -17,8 +18,9 @@ TRUTH: Any = types.boolean
 COUNT: Any = types.int64
 F: Any = types.float64
 THREE: Any = types.UniTuple(F, 3)  # type: ignore[no-untyped-call]
-v, m = (types.Array(F, ndim, "A", readonly=True) for ndim in (1, 2))  # read only, any strides
-V, M = (types.Array(F, ndim, "A") for ndim in (1, 2))  # written to
+v, m, t = (types.Array(F, ndim, "A", readonly=True) for ndim in (1, 2, 3))  # read only, any strides
+V, M, T = (types.Array(F, ndim, "A") for ndim in (1, 2, 3))  # written to
+counts: Any = types.Array(COUNT, 1, "A", readonly=True)
 
 
 def compiled(result: Any, *arguments: Any) -> Callable[[_Function], _Function]:
