@@ -9,10 +9,11 @@ from test_floating import DOWN, FEET, contacts_of, tasks_of
 
 from wbc.analytic import surface_cone
 from wbc.centroidal import ComTask, DistributionTask, WholeBodyPosture, com, mass
-from wbc.contact import AxesContact, Settling
+from wbc.contact import AxesContact, Contact, Settling
 from wbc.controller import Controller
 from wbc.errors import GainError, WrenchError
-from wbc.foot import RoundFoot
+from wbc.foot import RoundFeet, RoundFoot
+from wbc.footing import Footing
 from wbc.phase import hold, place
 from wbc.reference import Hold, Path, sine
 from wbc.surface import Sole
@@ -48,6 +49,30 @@ def test_a_round_foot_rolls_without_slipping(go2, draw):
     spin = np.array([0.3, -0.8, 0.4])  # a ball that turns moves by w x r n
     V = np.r_[frame.T.rotation.T @ spin, frame.T.rotation.T @ np.cross(spin, 0.05 * TILTED[:, 2])]
     np.testing.assert_allclose(foot.A(state) @ V, 0.0, atol=1e-15)
+
+
+def test_feet_are_evaluated_together_as_they_would_be_one_by_one(go2, draw):
+    """The kernel against the formulas of a contact whose rows turn: standing, settling at its bound, over a floor that
+    was found elsewhere, in the air, and on no plane at all."""
+    state, feet = draw(go2), {}
+    for name, settling in zip(("FL", "FR", "RL", "RR"), (None, (20.0, 1.0), (3.0, 0.1), (20.0, 1.0)), strict=True):
+        foot = feet[name] = RoundFoot(f"{name}_foot", TILTED if name == "FR" else np.eye(3), 0.02)
+        foot.settling = settling and Settling(*settling)
+    heights = {"FL": 0.0, "FR": 1e-4, "RL": 0.03}
+    for name, height in heights.items():
+        n, p = feet[name]._R[:, 2], state.frame(f"{name}_foot").p
+        feet[name].footing = Footing(n, n @ p - 0.02 - height, 0.02)
+    state.grounds = {feet["FL"]: -0.1, feet["FR"]: 1e-4}
+    together = RoundFeet(feet).hold(state)
+    lifted = {name: held.lifted for name, held in together.items()}
+    assert lifted == {"FL": True, "FR": False, "RL": True, "RR": False}
+    for name, foot in feet.items():
+        alone, held = Contact.hold(foot, state), together[name]
+        for key in ("A", "free", "inverse", "B", "push", "G", "table", "slip"):
+            np.testing.assert_allclose(getattr(held, key), getattr(alone, key), atol=1e-12, err_msg=f"{name} {key}")
+        np.testing.assert_allclose(held.rhs, alone.rhs, atol=1e-12)
+        np.testing.assert_allclose(held.Adot_V, alone.Adot_V, atol=1e-12)
+        np.testing.assert_array_equal(held.seen.J, state.frame(foot.frame).J)
 
 
 def test_its_multipliers_are_the_force_at_the_point_of_contact(go2, draw):

@@ -190,6 +190,52 @@ def test_equations(rng, layout):
     np.testing.assert_array_equal(nothing, -bias[:6])
 
 
+def quadratic(rng, n=9, n_eq=4, others=3):
+    """[H; C], g, lo, hi, and the minimiser under the equalities with its multipliers."""
+    stack, g, n_all = rng.normal(size=(n + n_eq + others, n)), rng.normal(size=n), n + n_eq + others
+    stack[:n] = stack[:n] @ stack[:n].T + 0.1 * np.eye(n)
+    H, E, b = stack[:n], stack[n : n + n_eq], rng.normal(size=n_eq)
+    answer = np.linalg.solve(np.block([[H, E.T], [E, np.zeros((n_eq, n_eq))]]), np.r_[-g, b])
+    value = np.r_[answer[:n], stack[n:] @ answer[:n]]
+    lo, hi = value - rng.uniform(0.1, 1.0, n_all), value + rng.uniform(0.1, 1.0, n_all)
+    lo[n : n + n_eq] = hi[n : n + n_eq] = b
+    z = np.zeros(n_all)
+    z[n : n + n_eq] = answer[n:]
+    return stack, g, lo, hi, answer[:n], z
+
+
+def test_minimum(rng, layout):
+    stack, g, lo, hi, expected, multipliers = quadratic(rng)
+    x, z = np.empty(9), np.empty(16)
+    assert kernels.minimum(*layout(stack, g, lo, hi), 4, 1e-9, x, z)
+    np.testing.assert_allclose(x, expected, atol=1e-11)
+    np.testing.assert_allclose(z, multipliers, atol=1e-11)
+
+
+@pytest.mark.parametrize("row", [2, 13, 15])  # a bound, and rows that are no equalities
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_no_minimum_where_a_limit_is_missed(rng, row, side):
+    stack, g, lo, hi, expected, _ = quadratic(rng)
+    value = np.r_[expected, stack[9:] @ expected][row]
+    (lo if side > 0.0 else hi)[row] = value + 2e-9 * side
+    assert not kernels.minimum(stack, g, lo, hi, 4, 1e-9, np.empty(9), np.empty(16))
+    assert kernels.minimum(stack, g, lo, hi, 4, 4e-9, np.empty(9), np.empty(16))
+
+
+@pytest.mark.parametrize("change", ["dependent", "indefinite", "crossing", "nan"])
+def test_no_minimum_that_rounding_would_spoil(rng, change):
+    stack, g, lo, hi, _, _ = quadratic(rng)
+    if change == "dependent":
+        stack[12] = stack[9] + stack[10]
+    elif change == "indefinite":
+        stack[:9] -= np.linalg.eigvalsh(stack[:9])[0] * np.eye(9)
+    elif change == "crossing":
+        lo[14], hi[14] = hi[14], lo[14]
+    else:
+        stack[11, 3] = np.nan
+    assert not kernels.minimum(stack, g, lo, hi, 4, 1e-9, np.empty(9), np.empty(16))
+
+
 def test_point_target(rng, layout):
     R, p, c, v, drift = pin.exp3(rng.normal(size=3)), *rng.normal(size=(2, 3)), rng.normal(size=8), rng.normal(size=3)
     motion, J, K, b = rng.normal(size=(6, 2)), rng.normal(size=(3, 8)), rng.normal(size=(3, 6)), np.empty(3)
@@ -207,8 +253,9 @@ def test_how_contacts_share_a_wrench(rng, layout):
     np.testing.assert_allclose(1.0 / weight, A**2 @ np.repeat([0.05**2, 1.0], 3), rtol=1e-13)
     np.testing.assert_allclose(S, (P / weight) @ P.T, rtol=1e-12, atol=1e-13)
     bias, start, D = rng.normal(size=6), rng.normal(size=9), np.empty((9, 6))
-    lam, M_b, moved = start.copy(), rng.normal(size=(6, 11)), np.empty((9, 11))
-    kernels.share(*layout(push, weight, np.linalg.inv(S), M_b, bias), D, lam, moved)
+    lam, M_b, moved, metric = start.copy(), rng.normal(size=(6, 11)), np.empty((9, 11)), np.zeros((9, 9))
+    kernels.share(*layout(push, weight, np.linalg.inv(S), M_b, bias), 0.5, D, lam, moved, metric)
+    np.testing.assert_array_equal(metric, np.diag(0.5 * weight))
     np.testing.assert_allclose(moved, D @ M_b, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(P @ D, np.eye(6), atol=1e-9)
     np.testing.assert_allclose(P @ lam, -bias, atol=1e-9)

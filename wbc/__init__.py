@@ -12,7 +12,7 @@ __version__ = "0.2.0"
 
 _HOME = {
     "Controller": "controller", "Output": "controller", "Phase": "controller", "Status": "controller",
-    "Robot": "robot", "State": "robot", "Frame": "robot", "Wrench": "wrench", "ForceSensor": "wrench",
+    "Robot": "robot", "State": "robot", "Frame": "frame", "Wrench": "wrench", "ForceSensor": "wrench",
     "AxesContact": "contact", "Contact": "contact", "MatrixContact": "contact", "ScrewContact": "contact",
     "SphereContact": "contact", "WorldAxesContact": "contact",
     "ForceTask": "task", "MotionTask": "task", "PostureTask": "task", "Rows": "qp", "Sample": "reference",
@@ -34,10 +34,11 @@ if TYPE_CHECKING:
     from .effort import TorqueTask
     from .errors import SpecError, WbcError
     from .foot import RoundFoot
+    from .frame import Frame
     from .qp import Rows
     from .reference import Sample
     from .relative import GazeTask, RelativeTask
-    from .robot import Frame, Robot, State
+    from .robot import Robot, State
     from .spec import load
     from .task import ForceTask, MotionTask, PostureTask
     from .wrench import ForceSensor, Wrench

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -18,12 +18,12 @@ from .analytic import gain_matrix
 from .axes import MOMENTUM_AXES
 from .dynamics import inertia
 from .errors import GainError
+from .frame import Frame
 from .qp import Array, Rows
 from .reference import Reference, Sample
-from .robot import Frame, State
+from .robot import State
 from .task import PostureTask
 
-_ALONG = np.eye(3)
 _ORDER = [3, 4, 5, 0, 1, 2]
 BASE_SHARE = 1e-3  # what a posture's base weighs against its joints
 FADE = 0.5  # [s] in which contacts change what they share
@@ -99,7 +99,7 @@ class ComTask:
 
     def rows(self, state: State) -> Rows:
         G, b = self.target(state)
-        return Rows("", {"vdot": G}, b, b, mass(state) * _ALONG)
+        return Rows("", {"vdot": G}, b, b, state.terms.masses)
 
 
 def momentum(state: State) -> tuple[Array, Array, Array]:
@@ -179,7 +179,6 @@ class DistributionTask:
 
     def __init__(self, shares: Mapping[str, float] | None = None, press: Mapping[str, float] | None = None) -> None:
         self.shares, self.press = dict(shares or {}), dict(press or {})
-        self._made: tuple[tuple[str, ...], list[int], dict[str, Array | None]] = ((), [], {})
         for key, given in (("shares", self.shares), ("press", self.press)):
             if any(not value >= 0.0 for value in given.values()):
                 raise GainError(f"{key}: expected 0 or more of each, got {given}")
@@ -190,12 +189,15 @@ class DistributionTask:
         names = tuple(contacts if among is None else among)
         fade = 1.0 if begun is None else min(max((state.t - begun.t) / FADE, 0.0), 1.0)
         held = [contacts[name] for name in names]
-        push = np.concatenate([each.push for each in held])
+        push, A = np.concatenate([each.push for each in held]), np.concatenate([each.A for each in held])
         k, n = push.shape
-        weight, S, D, lam, moved = np.empty(k), np.empty((6, 6)), np.empty((k, 6)), np.zeros(k), np.empty((k, n))
+        stored: _Shared | None = state.terms.held.get((self, names))
+        if stored is None or stored.moved.shape != (k, n):
+            stored = state.terms.held[self, names] = _Shared.of({name: len(contacts[name].G) for name in names}, n)
+        weight, S, D, lam, moved, metric, columns = stored
         # a row of A is a unit force, or a unit moment
-        kernels.carried(push, np.concatenate([each.A for each in held]), SOLE_RADIUS, weight, S)
-        A = self._columns(names, [len(each.G) for each in held])
+        kernels.carried(push, A, SOLE_RADIUS, weight, S)
+        lam.fill(0.0)
         if self.shares or self.press or fade < 1.0:
             start = 0
             for name, each in zip(names, held, strict=True):
@@ -208,20 +210,10 @@ class DistributionTask:
                 if begun is not None and fade < 1.0 and (before := begun.loads.get(name)) is not None:
                     lam[own] += (1.0 - fade) * before
                 start = own.stop
-        kernels.share(push, weight, inertia(S), state.M[:6], state.bias, D, lam, moved)
-        for name in contacts.keys() - A.keys():
-            A[name] = D.dot(contacts[name].push[:, :6].T)
-        A["vdot"] = moved
-        metric = np.zeros((k, k))
-        metric.flat[:: k + 1] = weight / load(state)
-        return Rows("", A, lam, lam, metric)
-
-    def _columns(self, names: tuple[str, ...], sizes: list[int]) -> dict[str, Array | None]:
-        """What picks the multipliers of each contact from those of all."""
-        if self._made[:2] != (names, sizes):
-            one, last = np.eye(sum(sizes)), np.cumsum([0, *sizes])
-            self._made = (names, sizes, {name: one[:, last[i] : last[i + 1]] for i, name in enumerate(names)})
-        return dict(self._made[2])
+        kernels.share(push, weight, inertia(S), state.M[:6], state.bias, 1.0 / load(state), D, lam, moved, metric)
+        if len(contacts) > len(names):
+            columns = columns | {o: D.dot(contacts[o].push[:, :6].T) for o in contacts if o not in columns}
+        return Rows("", columns, lam, lam, metric)
 
     def internal(self, state: State, lam: Mapping[str, Array]) -> tuple[float, float]:
         """Internal force that `press` asks for, and that of multipliers by contact (k,) [N].
@@ -243,6 +235,30 @@ class DistributionTask:
         pressing = [name in self.press for name in state.contacts for _ in range(len(state.contacts[name].A))]
         mean = float(np.concatenate(ups)[pressing].dot(u[pressing])) / len(self.press)
         return mean, mean * float(u.dot(weight * np.concatenate([lam[name] for name in state.contacts]))) / size
+
+
+class _Shared(NamedTuple):
+    """Storage of what contacts share: filled again at every tick, but for the columns that pick the multipliers."""
+
+    weight: Array  # (k,)
+    S: Array  # (6, 6)
+    D: Array  # (k, 6)
+    lam: Array  # (k,)
+    moved: Array  # (k, nv)
+    metric: Array  # (k, k)
+    columns: dict[str, Array | None]
+
+    @classmethod
+    def of(cls, sizes: Mapping[str, int], n: int) -> _Shared:
+        """Of contacts with that many multipliers each, of a robot with n velocities."""
+        k = sum(sizes.values())
+        moved, one, start = np.empty((k, n)), np.eye(k), 0
+        one.flags.writeable = False
+        columns: dict[str, Array | None] = {"vdot": moved}
+        for name, size in sizes.items():
+            columns[name] = one[:, start : start + size]
+            start += size
+        return cls(np.empty(k), np.empty((6, 6)), np.empty((k, 6)), np.empty(k), moved, np.zeros((k, k)), columns)
 
 
 class WholeBodyPosture(PostureTask):

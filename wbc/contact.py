@@ -20,11 +20,12 @@ import pinocchio as pin
 from . import kernels
 from .errors import WrenchError
 from .footing import Footing
+from .frame import Frame
 from .friction import Cone, Unilateral
 from .pair import seen
 from .qp import Array, Rows
 from .ride import Ride
-from .robot import Frame, State
+from .robot import State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 _ZERO, _ZEROS = np.zeros(3), np.zeros(6)
@@ -54,8 +55,8 @@ class Held:
     lifted: bool = False
     _lift: Array
 
-    def __init__(self, frame: str, n: int, k: int, rows: int) -> None:
-        self.frame, self.table, self.bias = frame, np.empty((rows, n + 2)), np.empty(rows)
+    def __init__(self, frame: str, k: int, table: Array, bias: Array) -> None:
+        self.frame, self.table, self.bias, n = frame, table, bias, table.shape[1] - 2
         self.stack, self.G, self.rhs = self.table[:, :n], self.table[:k, :n], self.bias[:k]
         self.slip = self.table[:k, n + 1]
         self._lifted: Array | None = None  # the free rows that `_lift` is of
@@ -164,7 +165,8 @@ class Contact(ABC):
         """What was held at the last tick, to be filled again."""
         held: Held | None = state.terms.held.get(self)
         if held is None or held.bias.size != rows:
-            held = state.terms.held[self] = Held(self.frame, state.v.size, self.k, rows)
+            held = Held(self.frame, self.k, np.empty((rows, state.v.size + 2)), np.empty(rows))
+            state.terms.held[self] = held
         return held
 
     def _demand(

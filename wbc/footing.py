@@ -10,7 +10,7 @@ from . import kernels
 from .qp import Array
 
 if TYPE_CHECKING:
-    from .robot import Frame
+    from .frame import Frame
 
 LIFTED = 5e-4  # [m] above its plane from which a foot carries nothing
 RATE, MOST = 20.0, 20.0  # [1/s], [m/s^2, rad/s^2] of the way down
@@ -31,12 +31,12 @@ class Footing:
     def __init__(self, normal: Array, level: float, radius: float = 0.0, size: tuple[float, float] | None = None):
         self.normal, self.level, self.radius = np.array(normal, float), float(level), radius
         self.size, self._edge = size, None if size is None or all(size) else int(np.argmax(size))
-        self._lowest = self.level + radius
+        self.lowest = self.level + radius  # of the middle of a foot that stands
         self._half = (0.5 * size[0], 0.5 * size[1]) if size else (0.0, 0.0)
 
     def height(self, frame: Frame) -> float:
         """How far the lowest point of the foot is above the plane [m]."""
-        return kernels.height(frame.R, frame.p, self.normal, self._lowest, *self._half)
+        return kernels.height(frame.R, frame.p, self.normal, self.lowest, *self._half)
 
     def lifted(self, frame: Frame, level: float = 0.0) -> bool:
         """Whether it is in the air, over a floor that it has found `level` above the plane."""

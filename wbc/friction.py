@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from .contact import Contact
+    from .frame import Frame
     from .reference import Sample
-    from .robot import Frame, State
+    from .robot import State
 
 Guide: TypeAlias = "Callable[[State], Sample]"  # the desired motion at a state
 FACES = 8

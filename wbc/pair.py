@@ -6,8 +6,9 @@ import numpy as np
 import pinocchio as pin
 
 from .axes import VELOCITY_AXES
+from .frame import Frame
 from .kernels import relative
-from .robot import Frame, Robot, State
+from .robot import Robot, State
 
 
 class RelativeFrame(Frame):
@@ -20,7 +21,7 @@ class RelativeFrame(Frame):
     __slots__ = ("_ends",)
 
     def __init__(self, frame: Frame, to: Frame) -> None:
-        super().__init__(frame.J.shape[1], frame.source)
+        super().__init__(np.empty((3, 3)), np.empty(3), np.empty(frame.table.shape))
         self._ends = frame, to
         self.update()
 

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from .centroidal import ComTask, MomentumTask, WholeBodyPosture
-from .contact import Contact
+from .contact import Contact, Held
 from .dynamics import fill, gauss, inertia, mobility, torque_map
 from .effort import TorqueTask
 from .errors import LawError, NameNotFound
+from .foot import RoundFeet, RoundFoot
 from .friction import Cone
 from .hierarchy import level
 from .hierarchy import solve as descend
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from .collision import SelfCollision
 
 _NO_METRIC = np.zeros((0, 0))
+_NONE: Mapping[str, Held] = {}  # never written to
 Cost: TypeAlias = tuple[
     Rows, float, int
 ]  # rows, their weight, and the level at which they stand where priorities are strict
@@ -66,6 +68,19 @@ class Phase:
     def standing(self) -> tuple[str, ...]:
         """Contacts that are feet on a plane."""
         return tuple(name for name, contact in self.contacts.items() if contact.footing is not None)
+
+    @cached_property
+    def frames(self) -> tuple[str, ...]:
+        """Frames of the robot that its contacts and tasks read at every tick."""
+        of: list[Any] = [*self.contacts.values(), *self.tasks.values()]
+        read = [getattr(each, key, None) for each in of for key in ("frame", "against", "to")]
+        return tuple(dict.fromkeys(name for name in read if isinstance(name, str)))
+
+    @cached_property
+    def feet(self) -> RoundFeet | None:
+        """Its round feet, which are evaluated together."""
+        feet = {name: c for name, c in self.contacts.items() if isinstance(c, RoundFoot) and c.alike}
+        return RoundFeet(feet) if feet else None
 
     @cached_property
     def compliant(self) -> dict[str, Compliance]:
@@ -153,8 +168,10 @@ def settle_posture(phase: Phase, start: State, notes: list[str]) -> Phase:
 
 def hold(state: State, phase: Phase) -> None:
     """Evaluate the contacts of a phase at a state."""
+    state.prepare(phase.frames)
+    together = phase.feet.hold(state) if phase.feet is not None else _NONE
     for name, contact in phase.contacts.items():
-        state.contacts[name] = contact.hold(state)
+        state.contacts[name] = together[name] if name in together else contact.hold(state)
 
 
 def carry(state: State, phase: Phase) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,7 @@ class Certificate(NamedTuple):
         return self.primal <= tolerance.primal and self.dual <= tolerance.dual and self.gap <= tolerance.gap
 
 
+_NO_BLOCK = np.zeros((0, 0))
 UNCERTIFIED = Certificate(math.inf, math.inf, math.inf)
 
 
@@ -163,6 +164,7 @@ class Workspace:
             self._blocks[rows.name] = stack[start:stop]
             self.labels += rows.labels or [f"{rows.name}[{i}]" for i in range(stop - start)]
             start = stop
+        self._joined: dict[tuple[Any, ...], tuple[Array, list[Array | None]]] = {}
         self._buffer, self._cost = buffer, buffer[: n + n * n]
         self._H = {name: stack[place, place] for name, place in variables.slices.items()}
         self._g = {name: g[place] for name, place in variables.slices.items()}
@@ -200,9 +202,13 @@ class Workspace:
 
     def _joint(self, coefficients: Mapping[str, Array | None], m: int) -> Array:
         """(m, n) over all variables."""
-        A = np.zeros((m, self.variables.size))
-        for name, block in coefficients.items():
-            A[:, self.variables.slices[name]] = np.eye(m) if block is None else block
+        names = (m, *coefficients)
+        A, blocks = self._joined.get(names) or (np.zeros((m, self.variables.size)), [_NO_BLOCK] * len(coefficients))
+        for i, (name, block) in enumerate(coefficients.items()):
+            if block is None or block is not blocks[i] or block.flags.writeable:  # else it stands there already
+                A[:, self.variables.slices[name]] = np.eye(m) if block is None else block
+                blocks[i] = block
+        self._joined[names] = (A, blocks)
         return A
 
     def constrain(self, rows: Rows) -> None:

@@ -14,10 +14,11 @@ import pinocchio as pin
 from .analytic import gain_matrix
 from .dynamics import weighed
 from .errors import GainError
+from .frame import Frame
 from .pair import seen
 from .qp import Array, Rows
 from .reference import Reference
-from .robot import Frame, State
+from .robot import State
 from .task import MotionTask
 from .wrench import VELOCITY_AXES
 

@@ -13,9 +13,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from .frame import Frame
 from .qp import Array
 from .reference import Reference, Sample, seen_from
-from .robot import Frame, State
+from .robot import State
 
 
 class Ride:
@@ -44,7 +45,7 @@ class Ride:
         frame, kept = state.frame(name), state.terms.pairs
         out: Frame | None = kept.get((name, self))
         if out is None:
-            out = kept[name, self] = Frame(state.v.size, frame.source)
+            out = kept[name, self] = Frame(np.empty((3, 3)), np.empty(3), np.empty(frame.table.shape))
         if out.of != state.count:
             ground = self.motion(state.t, frame.T)
             (w, v), (w_g, v_g) = frame.V.reshape(2, 3), ground[:, 0].reshape(2, 3)

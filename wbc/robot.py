@@ -11,44 +11,22 @@ import numpy as np
 import pinocchio as pin
 from eigenpy import LLT
 
-from . import kernels
 from . import model as models
 from .errors import ModelError, NameNotFound
+from .frame import Frame, Frames, Mounts, mounts
+from .kernels.compiled import Counts
 from .qp import Array
 from .urdf import Foot
 
-_Source = tuple[Array, Array, Array, Array, Array, Array, Array]  # of `kernels.frame`
+_NOBODY = np.zeros(0, np.int64)
 _NO_STARTS: Mapping[Any, Any] = {}  # never written to
 _NO_ROWS: tuple[Array, Array, Array] = (np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)))
-
-
-class Frame:
-    """One frame of the robot at this tick; twists and wrenches are body quantities, angular part first.
-
-    R (3, 3), p (3,): pose in the world; V (6,) body twist [rad/s, m/s]; J (6, nv) body Jacobian, V = J v; drift (6,)
-    Jdot v, so that Vdot = J vdot + drift; `table` (6, nv + 2): J, drift and V side by side, one product selects rows of
-    all three. Its arrays are filled again at the next tick.
-    """
-
-    __slots__ = ("J", "R", "V", "_T", "drift", "of", "p", "source", "table")
-
-    def __init__(self, n: int, source: _Source) -> None:
-        self.source, self.of, self._T = source, 0, None
-        self.R, self.p, self.table = np.empty((3, 3)), np.empty(3), np.empty((6, n + 2))
-        self.J, self.drift, self.V = self.table[:, :n], self.table[:, n], self.table[:, n + 1]
-
-    @property
-    def T(self) -> pin.SE3:
-        """Pose in the world."""
-        if self._T is None:
-            self._T = pin.SE3(self.R, self.p)
-        return self._T
 
 
 class Terms:
     """Pinocchio's storage for a robot, and views of what a tick reads of it, made once: each costs as much as its use.
 
-    `held`: contact -> its storage; `pairs`: (frame, what it is seen from) -> how.
+    `named`: frame -> its storage; `held`: contact -> its storage; `pairs`: (frame, what it is seen from) -> how.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -57,7 +35,9 @@ class Terms:
         # of one joint its one column comes as a vector
         self.M, self.h, self.J = self.data.M.reshape(n, n), self.data.nle, self.data.J.reshape(6, n)
         self.count = 0  # states computed so far
-        self.frames: dict[str, Frame] = {}
+        self.frames = Frames(robot.mounts, self.data, self.J)
+        self.named: dict[str, tuple[Frame, Counts]] = {}
+        self.batches: dict[tuple[str, ...], tuple[list[Frame], Counts]] = {}
         self.held: dict[Any, Any] = {}
         self.pairs: dict[tuple[str, Any], Any] = {}
 
@@ -65,6 +45,11 @@ class Terms:
     def mass(self) -> float:
         """Of the whole robot [kg]."""
         return float(self.data.mass[0])
+
+    @cached_property
+    def masses(self) -> Array:
+        """(3, 3) the same along each axis."""
+        return self.mass * np.eye(3)
 
     @cached_property
     def load(self) -> float:
@@ -77,20 +62,17 @@ class Terms:
         model, data = self.robot.model, self.data
         return data.com[0], data.Jcom.reshape(3, model.nv), data.oMi[1].rotation, model.gravity.linear
 
-    def add(self, name: str) -> Frame:
+    def add(self, name: str) -> tuple[Frame, Counts]:
         """Storage of a frame. Raises NameNotFound."""
-        model, data = self.robot.model, self.data
-        frame = model.frames[self.robot.frame_id(name)]
-        joint, moves = frame.parentJoint, np.zeros(model.nv)
-        for index in list(model.supports[joint])[1:]:
-            first = model.joints[index].idx_v
-            moves[first : first + model.joints[index].nv] = 1.0
-        # computeAllTerms leaves the accelerations at vdot = 0 in data.a: they are the drift
-        pose, a = data.oMi[joint], data.a[joint]
-        place = np.column_stack((frame.placement.rotation, frame.placement.translation))
-        source = (pose.rotation, pose.translation, a.linear, a.angular, place, self.J, moves)
-        found = self.frames[name] = Frame(model.nv, source)
+        index = self.robot.frame_id(name)
+        self.named[name] = found = (self.frames.frame(index), np.array([index]))
         return found
+
+    def batch(self, names: tuple[str, ...]) -> tuple[list[Frame], Counts]:
+        """The same of several. Raises NameNotFound."""
+        found = [self.named.get(name) or self.add(name) for name in names]
+        self.batches[names] = batch = ([frame for frame, _ in found], np.concatenate([_NOBODY, *(i for _, i in found)]))
+        return batch
 
 
 class State:
@@ -149,13 +131,19 @@ class State:
     def frame(self, name: str) -> Frame:
         """The frame of that name. Raises NameNotFound."""
         terms = self.terms
-        found = terms.frames.get(name)
-        if found is None:
-            found = terms.add(name)
+        found, index = terms.named.get(name) or terms.add(name)
         if found.of != self.count:
             found.of, found._T = self.count, None
-            kernels.frame(*found.source, self.v, found.R, found.p, found.table)
+            terms.frames.fill(index, self.v)
         return found
+
+    def prepare(self, names: tuple[str, ...]) -> None:
+        """Compute frames that will be asked for in one call. Raises NameNotFound."""
+        terms = self.terms
+        found, indices = terms.batches.get(names) or terms.batch(names)
+        for frame in found:
+            frame.of, frame._T = self.count, None
+        terms.frames.fill(indices, self.v)
 
     def carry(self, frame: str | Frame, F: Array) -> None:
         """Count a known wrench F (6,) of the robot on its environment, in the axes of `frame`: bias + J' F."""
@@ -300,6 +288,11 @@ class Robot:
         return bool(self.base) and all(1 in self.model.supports[i] for i in range(1, self.model.njoints))
 
     @cached_property
+    def mounts(self) -> Mounts:
+        """Where its frames sit, by Pinocchio's index."""
+        return mounts(self.model)
+
+    @cached_property
     def nq(self) -> int:
         return int(self.model.nq)
 
@@ -395,7 +388,7 @@ class Robot:
         return total
 
     def axes(self, frame_name: str, states: int = 8) -> tuple[int, ...]:
-        """Indices of the body axes (wx .. vz) that the robot can ever move the frame along: fewer than 6 in a plane."""
+        """Counts of the body axes (wx .. vz) that the robot can ever move the frame along: fewer than 6 in a plane."""
         if frame_name not in self._axes:
             rng = np.random.default_rng(0)
             reach = np.zeros(6)

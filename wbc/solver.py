@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from .errors import SolverError, did_you_mean
+from .kernels import minimum
 from .qp import UNCERTIFIED, Array, Certificate, Problem, certify
 
 DEFAULT = "daqp"  # the README tells the measurement behind this choice
@@ -84,6 +85,8 @@ class Daqp:
 
     Every call starts from the empty active set, so that an answer is bit for bit a function of its problem. That
     costs nothing on an arm's problems; the storage is what is worth keeping (a new model takes twice the time).
+    Whether the empty set is the answer already is found without DAQP, which would first transform every row: most ticks
+    have no limit active, and then it is a third of the work.
     """
 
     def __init__(self, **settings: Any) -> None:
@@ -98,6 +101,9 @@ class Daqp:
         self._sense: Any = None
 
     def solve(self, problem: Problem) -> tuple[Array, Array]:
+        x, z = np.empty(problem.g.size), np.empty(problem.lo.size)
+        if minimum(problem.stack, problem.g, problem.lo, problem.hi, problem.n_eq, self._settings["primal_tol"], x, z):
+            return x, z
         if problem is self._problem:  # the model reads the arrays where they stand: H alone says that all are new
             flag = self._model.update(problem.H, None, None, None, None, self._sense)
         elif (problem.g.size, problem.lo.size, problem.n_eq) != self._shape:

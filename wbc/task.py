@@ -20,9 +20,10 @@ from .analytic import gain_matrix
 from .contact import Contact, Held
 from .dynamics import inertia, mobility
 from .errors import GainError
+from .frame import Frame
 from .qp import Array, Rows
 from .reference import Reference, Sample
-from .robot import Frame, State
+from .robot import State
 from .wrench import VELOCITY_AXES
 
 _ORDER = np.array([3, 4, 5, 0, 1, 2])

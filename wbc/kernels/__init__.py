@@ -3,11 +3,11 @@
 Plain loops over small dense arrays; the theory is told where they are called. Signatures are explicit.
 """
 
-from .algebra import gauss, inverse, mobility, within
+from .algebra import gauss, inverse, minimum, mobility, within
 from .contact import carried, edge, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
 from .limit import braking_bounds, torque_window
-from .motion import computed_torque, frame, log, point_target, pose_errors, relative, shift
+from .motion import computed_torque, frames, log, point_target, pose_errors, relative, shift
 from .null_space import least_squares, root
 from .program import active, add_rows, add_square, equations, residuals, torque, total
 from .touch import angle, slip, touch
@@ -24,12 +24,13 @@ __all__ = [
     "edge",
     "equations",
     "feedback",
-    "frame",
+    "frames",
     "gauss",
     "height",
     "inverse",
     "least_squares",
     "log",
+    "minimum",
     "mobility",
     "point_target",
     "pose_errors",

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .compiled import COUNT, NOTHING, TRUTH, Array, M, V, compiled, inner, m, v
+from .compiled import COUNT, NOTHING, TRUTH, Array, F, M, V, compiled, inner, m, v
 
 
 @inner
@@ -168,3 +168,77 @@ def within(K: Array, W: Array, first: int, out: Array) -> None:
                     t += W[a, b] * K[b, first + j]
                 s -= K[a, first + i] * t
             out[i, j] = out[j, i] = s
+
+
+@compiled(TRUTH, m, v, v, v, COUNT, F, V, V)
+def minimum(stack: Array, g: Array, lo: Array, hi: Array, n_eq: int, most: float, x: Array, z: Array) -> bool:
+    """x (n,), z (n + m,) of least x'Hx / 2 + g'x under the equalities E x = b alone, `stack` = [H; C] of the `Problem`.
+
+    False where another row or bound is missed by more than `most`, or where rounding would show: then it is no answer.
+    With H = L'L and Y = L^-T E':  x = L^-1 (y - Y z_E),  y = -L^-T g,  Y'Y z_E = Y'y - b.
+    """
+    n, k, rows = g.size, n_eq, lo.size
+    C = np.empty((rows, n))
+    for i in range(rows):
+        for j in range(n):
+            C[i, j] = stack[i, j]
+    L, S, Y = np.empty((n, n)), np.empty((k, k)), np.empty((n, k))
+    if not _factor(C[:n], L) > 1e-14:
+        return False
+    for i in range(k):
+        for j in range(n):
+            Y[j, i] = C[n + i, j]
+    _forward(L, Y)
+    _gram(Y, S)
+    if not _factor(S, S) > 1e-14:
+        return False
+    value, r, s = np.zeros(rows), np.empty(n), np.empty(k)  # the rows' values, the gradient, what the equalities lack
+    x[:] = 0.0
+    z[:] = 0.0
+    for _ in range(3):  # the later ones for what rounding leaves
+        for i in range(n):
+            r[i] = g[i]
+        for i in range(n):
+            for j in range(n):
+                r[j] += C[i, j] * x[i]  # H is symmetric
+        for i in range(k):
+            s[i] = value[n + i] - lo[n + i]
+            for j in range(n):
+                r[j] += C[n + i, j] * z[n + i]
+        for i in range(n - 1, -1, -1):
+            r[i] *= L[i, i]
+            for j in range(i):
+                r[j] -= L[i, j] * r[i]
+        for i in range(n):
+            for j in range(k):
+                s[j] -= Y[i, j] * r[i]
+        for i in range(k - 1, -1, -1):
+            s[i] *= S[i, i]
+            for j in range(i):
+                s[j] -= S[i, j] * s[i]
+        for i in range(k):
+            for j in range(i):
+                s[i] -= S[i, j] * s[j]
+            s[i] *= S[i, i]
+            z[n + i] += s[i]
+        for i in range(n):
+            for j in range(k):
+                r[i] += Y[i, j] * s[j]
+            for j in range(i):
+                r[i] -= L[i, j] * r[j]
+            r[i] *= L[i, i]
+            x[i] -= r[i]
+        rest = 0.0
+        for i in range(rows):
+            value[i] = x[i] if i < n else 0.0
+            if i >= n:
+                for j in range(n):
+                    value[i] += C[i, j] * x[j]
+                if i < n + k:
+                    rest = max(rest, abs(value[i] - lo[i]) / (1.0 + abs(lo[i])))
+        if rest <= 1e-12:
+            break
+    inside = True
+    for i in range(rows):
+        inside = inside and lo[i] - most <= value[i] <= hi[i] + most
+    return inside

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
+Counts = NDArray[np.int64]
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 NOTHING: Any = types.void
@@ -18,8 +19,9 @@ TRUTH: Any = types.boolean
 COUNT: Any = types.int64
 F: Any = types.float64
 THREE: Any = types.UniTuple(F, 3)  # type: ignore[no-untyped-call]
-v, m = (types.Array(F, ndim, "A", readonly=True) for ndim in (1, 2))  # read only, any strides
-V, M = (types.Array(F, ndim, "A") for ndim in (1, 2))  # written to
+v, m, t = (types.Array(F, ndim, "A", readonly=True) for ndim in (1, 2, 3))  # read only, any strides
+V, M, T = (types.Array(F, ndim, "A") for ndim in (1, 2, 3))  # written to
+COUNTS: Any = types.Array(COUNT, 1, "A", readonly=True)
 INDICES, PAIRS = (types.Array(types.int32, ndim, "A", readonly=True) for ndim in (1, 2))  # as MuJoCo numbers things
 
 

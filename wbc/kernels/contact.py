@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .compiled import COUNT, NOTHING, Array, F, M, V, compiled, m, v
+from .compiled import COUNT, COUNTS, NOTHING, Array, Counts, F, M, T, V, compiled, m, t, v
 
 
 @compiled(NOTHING, m, m, M, V)
@@ -22,28 +22,43 @@ def select(basis: Array, table: Array, out: Array, bias: Array) -> None:
         bias[i] = -out[i, n - 2]
 
 
-@compiled(NOTHING, m, m, F, m, M, M, V, M, V)
+@compiled(NOTHING, COUNTS, t, m, m, v, F, t, m, t, T, T, M, T, M, V)
 def rolling(
-    R_p: Array, R_f: Array, radius: float, table: Array, basis: Array, inverse: Array, Adot_V: Array, out: Array,
-    bias: Array,
+    index: Counts, R_p: Array, numbers: Array, normal: Array, level: Array, flies: float, R: Array, p: Array,
+    tables: Array, basis: Array, inverse: Array, Adot_V: Array, out: Array, bias: Array, height: Array,
 ) -> None:  # fmt: skip
-    """Of a sphere on a plane with the axes R_p, its frame at R_f: A and free rows, (A')^+, Adot V; then as `select`."""
-    V = table[:, table.shape[1] - 1]
-    X = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            X[i, j] = R_p[0, i] * R_f[0, j] + R_p[1, i] * R_f[1, j] + R_p[2, i] * R_f[2, j]
-    for j in range(3):
-        basis[0, j], basis[1, j], basis[2, j] = -radius * X[1, j], radius * X[0, j], 0.0
+    """Of spheres on planes with the axes R_p, whose frames are `index` of all (R, p, tables): A and free rows, (A')^+,
+    Adot V; then as `select`, less Adot V and what dies out of those that stand.
+
+    `numbers`: radius, height of the middle where it stands, rate and bound of `settle`. `height`: above the plane,
+    which is found `level` above where it was said to be; from `flies` on a foot does not stand.
+    """
+    X, n = np.empty((3, 3)), tables.shape[2]
+    for f in range(index.size):
+        radius, lowest, rate, most = numbers[f, 0], numbers[f, 1], numbers[f, 2], numbers[f, 3]
+        S, R_f, B, table = R_p[f], R[index[f]], basis[f], tables[index[f]]
         for i in range(3):
-            basis[i, 3 + j] = basis[3 + i, j] = inverse[i, 3 + j] = X[i, j]
-            basis[3 + i, 3 + j] = inverse[i, j] = 0.0
-    x = V[1] * V[5] - V[2] * V[4]
-    y = V[2] * V[3] - V[0] * V[5]
-    z = V[0] * V[4] - V[1] * V[3]
-    for i in range(3):
-        Adot_V[i] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z
-    select(basis, table, out, bias)
+            for j in range(3):
+                X[i, j] = S[0, i] * R_f[0, j] + S[1, i] * R_f[1, j] + S[2, i] * R_f[2, j]
+        for j in range(3):
+            B[0, j], B[1, j], B[2, j] = -radius * X[1, j], radius * X[0, j], 0.0
+            for i in range(3):
+                B[i, 3 + j] = B[3 + i, j] = inverse[f, i, 3 + j] = X[i, j]
+                B[3 + i, 3 + j] = inverse[f, i, j] = 0.0
+        select(B, table, out[f], bias[f])
+        V = table[:, n - 1]
+        x = V[1] * V[5] - V[2] * V[4]
+        y = V[2] * V[3] - V[0] * V[5]
+        z = V[0] * V[4] - V[1] * V[3]
+        h = -lowest - level[f]
+        for i in range(3):
+            h += normal[f, i] * p[index[f], i]
+        height[f] = h
+        for i in range(3):
+            Adot_V[f, i] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z
+            bias[f, i] -= Adot_V[f, i]
+            if h <= flies:
+                bias[f, i] -= min(max(rate * out[f, i, n - 1], -most), most)
 
 
 @compiled(NOTHING, v, m, COUNT, F, m, M, V)
@@ -138,9 +153,13 @@ def carried(push: Array, A: Array, radius: float, weight: Array, S: Array) -> No
             S[j, i] = S[i, j]
 
 
-@compiled(NOTHING, m, v, m, m, v, M, V, M)
-def share(push: Array, weight: Array, Y: Array, M_b: Array, bias: Array, D: Array, lam: Array, moved: Array) -> None:
-    """D = diag(weight)^-1 P' Y, lam -= D (bias + P lam), and moved = D M_b of the base's rows M_b (6, n)."""
+@compiled(NOTHING, m, v, m, m, v, F, M, V, M, M)
+def share(
+    push: Array, weight: Array, Y: Array, M_b: Array, bias: Array, scale: float, D: Array, lam: Array, moved: Array,
+    metric: Array,
+) -> None:  # fmt: skip
+    """D = diag(weight)^-1 P' Y, lam -= D (bias + P lam), moved = D M_b of the base's rows M_b (6, n), and the diagonal
+    of `metric` is the weight times `scale`."""
     k, n = moved.shape
     r = np.empty(6)
     for a in range(6):
@@ -149,6 +168,7 @@ def share(push: Array, weight: Array, Y: Array, M_b: Array, bias: Array, D: Arra
         for a in range(6):
             r[a] += push[i, a] * lam[i]
     for i in range(k):
+        metric[i, i] = scale * weight[i]
         for j in range(n):
             moved[i, j] = 0.0
         for a in range(6):

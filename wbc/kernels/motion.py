@@ -6,51 +6,54 @@ import math
 
 import numpy as np
 
-from .compiled import NOTHING, TRUTH, Array, F, M, V, compiled, m, v
+from .compiled import COUNTS, NOTHING, TRUTH, Array, Counts, F, M, T, V, compiled, m, t, v
 
 
-@compiled(NOTHING, m, v, v, v, m, m, v, v, M, V, M)
-def frame(
-    R_j: Array, p_j: Array, a_j: Array, alpha_j: Array, place: Array, J_0: Array, moves: Array, v: Array,
+@compiled(NOTHING, COUNTS, m, m, COUNTS, t, m, m, v, T, M, T)
+def frames(
+    wanted: Counts, poses: Array, drifts: Array, joint: Counts, place: Array, moves: Array, J_0: Array, v: Array,
     R: Array, p: Array, table: Array,
 ) -> None:  # fmt: skip
-    """A frame at `place` = [R | p] (3, 4) of a joint at (R_j, p_j) that accelerates by (alpha_j, a_j) in its own axes.
+    """The frames `wanted`, of all that sit at `place` = [R | p] (3, 4) of a joint each.
 
-    R, p: its pose; table = [J | drift | J v] (6, n + 2) of its body twist, angular part first. `J_0` (6, n) are
-    Pinocchio's columns in the world's axes and origin, linear part first; `moves` (n,) is 1 for those that move it.
+    R, p: their poses; table = [J | drift | J v] (6, n + 2) of their body twists, angular part first. Pinocchio's are
+    `poses` (joints, 12) of joints, rotations by columns, their accelerations `drifts` (joints, 6) in their own axes and
+    the columns `J_0` (6, n) in the world's axes and origin, linear part first; `moves` (n,) is 1 for those that count.
     """
     n = v.size
-    for i in range(3):
-        p[i] = p_j[i]
-        for j in range(3):
-            p[i] += R_j[i, j] * place[j, 3]
-            R[i, j] = 0.0
-            for k in range(3):
-                R[i, j] += R_j[i, k] * place[k, j]
-    x, y, z = p[0], p[1], p[2]
-    for i in range(6):
-        table[i, n + 1] = 0.0
-    for j in range(n):
-        if moves[j] == 0.0:
-            for i in range(6):
-                table[i, j] = 0.0
-            continue
-        w0, w1, w2 = J_0[3, j], J_0[4, j], J_0[5, j]
-        v0 = J_0[0, j] + w1 * z - w2 * y
-        v1 = J_0[1, j] + w2 * x - w0 * z
-        v2 = J_0[2, j] + w0 * y - w1 * x
+    for f in wanted:
+        pose, a, at, S, T = poses[joint[f]], drifts[joint[f]], place[f], R[f], table[f]
         for i in range(3):
-            table[i, j] = R[0, i] * w0 + R[1, i] * w1 + R[2, i] * w2
-            table[3 + i, j] = R[0, i] * v0 + R[1, i] * v1 + R[2, i] * v2
+            p[f, i] = pose[9 + i]
+            for j in range(3):
+                p[f, i] += pose[3 * j + i] * at[j, 3]
+                S[i, j] = 0.0
+                for k in range(3):
+                    S[i, j] += pose[3 * k + i] * at[k, j]
+        x, y, z = p[f, 0], p[f, 1], p[f, 2]
         for i in range(6):
-            table[i, n + 1] += table[i, j] * v[j]
-    x, y, z = place[0, 3], place[1, 3], place[2, 3]
-    b0 = a_j[0] + alpha_j[1] * z - alpha_j[2] * y
-    b1 = a_j[1] + alpha_j[2] * x - alpha_j[0] * z
-    b2 = a_j[2] + alpha_j[0] * y - alpha_j[1] * x
-    for i in range(3):
-        table[i, n] = place[0, i] * alpha_j[0] + place[1, i] * alpha_j[1] + place[2, i] * alpha_j[2]
-        table[3 + i, n] = place[0, i] * b0 + place[1, i] * b1 + place[2, i] * b2
+            T[i, n + 1] = 0.0
+        for j in range(n):
+            if moves[f, j] == 0.0:
+                for i in range(6):
+                    T[i, j] = 0.0
+                continue
+            w0, w1, w2 = J_0[3, j], J_0[4, j], J_0[5, j]
+            v0 = J_0[0, j] + w1 * z - w2 * y
+            v1 = J_0[1, j] + w2 * x - w0 * z
+            v2 = J_0[2, j] + w0 * y - w1 * x
+            for i in range(3):
+                T[i, j] = S[0, i] * w0 + S[1, i] * w1 + S[2, i] * w2
+                T[3 + i, j] = S[0, i] * v0 + S[1, i] * v1 + S[2, i] * v2
+            for i in range(6):
+                T[i, n + 1] += T[i, j] * v[j]
+        x, y, z = at[0, 3], at[1, 3], at[2, 3]
+        b0 = a[0] + a[4] * z - a[5] * y
+        b1 = a[1] + a[5] * x - a[3] * z
+        b2 = a[2] + a[3] * y - a[4] * x
+        for i in range(3):
+            T[i, n] = at[0, i] * a[3] + at[1, i] * a[4] + at[2, i] * a[5]
+            T[3 + i, n] = at[0, i] * b0 + at[1, i] * b1 + at[2, i] * b2
 
 
 @compiled(NOTHING, m, v, m, m, v, m, M, V, M)
