@@ -2,15 +2,31 @@
 
 import gc
 import importlib
+import os
+import shutil
+import tempfile
 import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import runs
 
 from wbc.robot import Robot
 
 LONG = ("test_tour.py", "test_specs.py", "test_response.py", "test_mutations.py")
+
+
+def pytest_configure(config):
+    """A folder for the runs that processes share; those that the first one starts inherit its name."""
+    if runs.FOLDER not in os.environ:
+        config.shared_runs = os.environ[runs.FOLDER] = tempfile.mkdtemp(prefix="runs")
+
+
+def pytest_unconfigure(config):
+    if folder := getattr(config, "shared_runs", None):
+        del os.environ[runs.FOLDER]
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def pytest_collection_modifyitems(items):

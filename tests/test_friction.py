@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import bars
 import numpy as np
 import pinocchio as pin
 import pytest
+from runs import result
 
 from wbc import analytic, quantity
 from wbc.build import build
@@ -19,7 +18,6 @@ from wbc.friction import unilateral
 from wbc.oracle import Dynamics, closed_form, relative
 from wbc.reference import Path, hold, sine
 from wbc.resources import shipped_folder
-from wbc.run import run
 from wbc.spec import load
 from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
 from wbc.wrench import Wrench
@@ -27,11 +25,6 @@ from wbc.wrench import Wrench
 DOWN = np.array([0.0, 0.0, -1.0])
 NO_LIMITS = dict.fromkeys(("torque", "torque_rate", "position", "velocity"))
 TURN = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0] * np.array([1, 1, 1.0])
-
-
-@lru_cache
-def result(name, *overrides):
-    return run(build(load(name, overrides)))
 
 
 @pytest.fixture(scope="module")
