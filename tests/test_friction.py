@@ -338,7 +338,7 @@ class TestEraser:
         assert figures["board.corners"] == bars.CORNERS
 
     def test_without_compensation_it_misses(self):
-        free = ("contacts.board.feedforward=none", "tasks.draw.kp=100", "tasks.draw.kd=20")
+        free = ("contacts.board.feedforward=none", "tasks.draw.kp=100", "tasks.draw.kd=20", "duration=4")
         assert result("eraser_friction", *free).summary["metrics"]["draw.position.rms_error"] >= bars.UNCOMPENSATED
 
     def test_under_the_books_law_corners_lift_as_well(self):

@@ -197,13 +197,13 @@ def _of_phases(spec: Spec, left_out: LeftOut, check: Callable[[Any], list[Messag
                 places[place] = key
             except NoSuchKey as missing:
                 yield (*path, "set", key), f"{dotted(missing.path)}: {missing.message}"
-        for at, message in check(_with_sound(spec, changed, places)) if places else ():
+        for at, message in check(with_sound(spec, changed, places)) if places else ():
             key = next((key for place, key in places.items() if at[: len(place)] == place), "")
             tail = message if tuple(key.split(".")) == at else f"{dotted(at)}: {message}"
             yield (*path, "set", *([key] if key else [])), tail
 
 
-def _with_sound(spec: Spec, tree: dict[str, Any], places: Collection[KeyPath]) -> dict[str, Any]:
+def with_sound(spec: Spec, tree: dict[str, Any], places: Collection[KeyPath]) -> dict[str, Any]:
     """A changed tree in which the entries that no place leads into stand as they are in the spec: checked already."""
     touched = {place[:length] for place in places for length in (1, 2)}
     sound: dict[str, Any] = {}
