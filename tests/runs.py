@@ -30,7 +30,7 @@ class Ran(NamedTuple):
         return self.qpos[:, self.names[name]]
 
 
-@lru_cache
+@lru_cache(maxsize=8)
 def ran(name: str, *overrides: str) -> Ran:
     """A run of a shipped spec with some changes. Nobody changes it."""
     folder = os.environ.get(FOLDER)
