@@ -14,7 +14,10 @@ import runs
 
 from wbc.robot import Robot
 
-LONG = ("test_tour.py", "test_specs.py", "test_response.py", "test_mutations.py")
+LONG = (
+    "test_tour.py", "test_specs.py", "test_landing.py", "test_mutations.py", "test_pushes.py", "test_friction.py",
+    "test_force.py", "test_verify.py", "test_response.py",
+)  # fmt: skip
 
 
 def pytest_configure(config):
@@ -31,7 +34,7 @@ def pytest_unconfigure(config):
 
 def pytest_collection_modifyitems(items):
     """The longest tests first, so that no worker is left with one of them at the end."""
-    items.sort(key=lambda item: item.path.name not in LONG)
+    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
 
 
 LOADED = {
