@@ -1,16 +1,40 @@
 """What the tests share: the shipped robots, loaded once, and one seeded generator."""
 
+import gc
+import importlib
+import os
+import shutil
+import tempfile
+import time
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import runs
 
 from wbc.robot import Robot
 
-LONG = ("test_tour.py", "test_specs.py", "test_response.py", "test_mutations.py")
+LONG = (
+    "test_tour.py", "test_specs.py", "test_landing.py", "test_mutations.py", "test_pushes.py", "test_friction.py",
+    "test_force.py", "test_verify.py", "test_response.py",
+)  # fmt: skip
+
+
+def pytest_configure(config):
+    """A folder for the runs that processes share; those that the first one starts inherit its name."""
+    if runs.FOLDER not in os.environ:
+        config.shared_runs = os.environ[runs.FOLDER] = tempfile.mkdtemp(prefix="runs")
+
+
+def pytest_unconfigure(config):
+    if folder := getattr(config, "shared_runs", None):
+        del os.environ[runs.FOLDER]
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def pytest_collection_modifyitems(items):
     """The longest tests first, so that no worker is left with one of them at the end."""
-    items.sort(key=lambda item: item.path.name not in LONG)
+    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
 
 
 LOADED = {
@@ -19,6 +43,26 @@ LOADED = {
     "ur5e": ("ur5e", None, None),
     "planar3r": ("planar3r", None, None),
 }
+
+
+COLLECTED = 20.0  # [s] from one collection of garbage to the next
+
+
+@pytest.fixture(scope="session", autouse=True)
+def seldom_collected():
+    """`run` collects all garbage before it begins: of what tests keep, that takes longer than most of their runs."""
+    last = time.monotonic()
+
+    def collect():
+        nonlocal last
+        if time.monotonic() - last > COLLECTED:
+            gc.collect()
+            last = time.monotonic()
+
+    with pytest.MonkeyPatch.context() as patch:
+        seldom = SimpleNamespace(collect=collect, freeze=gc.freeze, unfreeze=gc.unfreeze)
+        patch.setattr(importlib.import_module("wbc.run"), "gc", seldom)
+        yield
 
 
 @pytest.fixture(scope="session")

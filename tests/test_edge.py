@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 import pytest
+from oracles import first_tick
 from scipy.optimize import linprog
-from test_floating import first_tick
 
 from wbc import analytic
 from wbc.analytic.surface import ALONG, ENDS

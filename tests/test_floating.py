@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import copy
-
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from oracles import accelerated, constrained, first_tick, unconstrained
 
 from wbc.centroidal import ComTask, WholeBodyPosture, com, mass
 from wbc.contact import AxesContact, Settling
@@ -72,19 +71,6 @@ def free_controller(robot):
     controller = Controller(robot, contacts_of(robot, bound=False), tasks_of(robot, q), FREE, q=q)
     controller.reset(q, np.zeros(robot.nv))
     return controller
-
-
-def unconstrained(robot):
-    """The robot in MuJoCo without contacts and joint limits: nothing but its dynamics."""
-    mj = copy.copy(robot.mujoco)
-    mj.opt.disableflags = int(mj.opt.disableflags) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    return mj, mujoco.MjData(mj)
-
-
-def first_tick(controller, q, v):
-    controller.reset(q, v)
-    out = controller.step(0.0, q, v)
-    return out, controller.state
 
 
 # --- the robot ---
@@ -181,19 +167,9 @@ class TestOracle:
         (mj, data), controller = unconstrained(walker), free_controller(walker)
         for _ in range(20):
             q, v = at_random(walker)
-            out, state = first_tick(controller, q, v)
+            out, _ = first_tick(controller, q, v)
             assert out.status is Status.OK
-            data.qpos[:], data.qvel[:] = walker.to_mujoco(q, v)
-            data.qfrc_applied[:] = np.r_[np.zeros(6), out.tau]
-            mujoco.mj_kinematics(mj, data)
-            mujoco.mj_comPos(mj, data)
-            for name, F in out.wrenches.items():
-                T, body = state.frame(name).T, int(mj.site(name).bodyid[0])
-                np.testing.assert_allclose(data.site(name).xpos, T.translation, atol=1e-12)
-                f, m = -T.rotation @ F[3:], -T.rotation @ F[:3]  # on the robot
-                mujoco.mj_applyFT(mj, data, f, m, T.translation, body, data.qfrc_applied)
-            mujoco.mj_forward(mj, data)
-            vdot = walker.from_mujoco(data.qpos, data.qvel, data.qacc)[2]
+            vdot = accelerated(mj, data, controller, out, q, v)
             np.testing.assert_allclose(vdot, out.vdot, atol=1e-9 * (1.0 + np.abs(vdot).max()))
 
     def test_vdot_and_lambda_are_pinocchios_constrained_dynamics(self, walker, at_random):
@@ -202,29 +178,13 @@ class TestOracle:
         contacts = contacts_of(walker, bound=False, radius=0.0)
         controller = Controller(walker, contacts, tasks_of(walker, q), FREE, q=q)
         kind = pin.ContactType.CONTACT_3D if walker.name == "go2" else pin.ContactType.CONTACT_6D
-        frames = [walker.model.frames[walker.frame_id(name)] for name in contacts]
-        models = pin.StdVec_RigidConstraintModel()
-        for frame in frames:
-            models.append(
-                pin.RigidConstraintModel(
-                    kind, walker.model, frame.parentJoint, frame.placement, pin.ReferenceFrame.LOCAL
-                )
-            )
-        datas = pin.StdVec_RigidConstraintData()
-        for each in models:
-            datas.append(each.createData())
-        data = walker.model.createData()
-        pin.initConstraintDynamics(walker.model, data, models, datas)
-        settings = pin.ProximalSettings(1e-14, 1e-14, 10)
+        dynamics = constrained(walker, kind, {name: contact.frame for name, contact in contacts.items()})
         for _ in range(20):
             q, v = at_random(walker)
             out, _ = first_tick(controller, q, v)
-            tau = np.r_[np.zeros(6), out.tau]
-            vdot = pin.constraintDynamics(walker.model, data, q, v, tau, models, datas, settings)
+            vdot, wrenches = dynamics(q, v, np.r_[np.zeros(6), out.tau])
             np.testing.assert_allclose(out.vdot, vdot, atol=1e-9 * (1.0 + np.abs(vdot).max()))
-            for name, each in zip(contacts, datas, strict=True):
-                force = each.contact_force  # on the robot
-                F = -np.r_[force.angular, force.linear]
+            for name, F in wrenches.items():
                 size = 1e-9 * (1.0 + np.abs(F).max())
                 np.testing.assert_allclose(out.wrenches[name][3:], F[3:], atol=size)
                 if walker.name == "g1":

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from test_floating import contacts_of, first_tick
+from oracles import first_tick
+from test_floating import contacts_of
 
 from wbc.build import build
 from wbc.centroidal import FADE, DistributionTask, com, mass

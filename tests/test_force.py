@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 
 import bars
 import numpy as np
 import pytest
 from plants import Plant
+from runs import ran, result
 from scipy.optimize import brentq
 
 from wbc import analytic
@@ -28,11 +28,6 @@ from wbc.wrench import Wrench
 
 DT, G = 1e-3, 9.81
 F_D = np.array([1.0, -0.5, 0.5, 6.0, -4.0, -10.0])  # of the specs
-
-
-@lru_cache
-def result(name, *changes):
-    return run(build(load(name, changes)))
 
 
 # --- the model alone ---
@@ -225,9 +220,8 @@ def test_a_wheel_rolls_where_it_heads():
 
 
 def test_its_axle_turns_and_is_no_joint_of_the_robot():
-    built, turned = build(load("wheel", ["duration=3"])), []
-    run(built, show=lambda simulator: turned.append(simulator.data.joint("axle").qpos[0]))
-    assert built.robot.nv == 7
+    turned = ran("wheel").joint("axle")[:3000]
+    assert build(load("wheel")).robot.nv == 7
     way = 0.2 * 0.8 * (0.6**3 * (10 - 15 * 0.6 + 6 * 0.36))  # of the arc, after 3 of 5 s [m]
     assert np.ptp(turned) == pytest.approx(way / 0.016, rel=0.02)
 
@@ -236,7 +230,7 @@ def test_its_axle_turns_and_is_no_joint_of_the_robot():
 
 
 def test_without_the_measured_wrench_the_door_is_missed():
-    finished = result("door", "contacts.handle.feedforward=none")
+    finished = result("door", "contacts.handle.feedforward=none", "duration=4")  # its way there is enough
     missed = {check["name"] for check in finished.summary["checks"] if not check["ok"]}
     assert {"open.swing.rms_error", "handle.mz.rms_error"} <= missed
     assert finished.summary["metrics"]["open.swing.rms_error"] > 10 * bars.SPECS["door"]["open.swing.rms_error"]
@@ -244,13 +238,8 @@ def test_without_the_measured_wrench_the_door_is_missed():
 
 def test_the_hinge_turns_by_what_was_asked():
     """The angle of the simulator's own hinge, not of the hook."""
-    built, angles = build(load("door")), []
-
-    def look(simulator):
-        angles.append((simulator.data.time, simulator.data.joint("door_hinge").qpos[0]))
-
-    run(built, show=look)
-    t, angle = np.array(angles)[1000:].T
+    door = ran("door")
+    t, angle = door.finished.log["t"][1000:] + DT, door.joint("door_hinge")[1000:]
     u = np.where(t < 4, t, 8 - t) / 4
     assert (
         np.sqrt(np.mean((angle + 0.6 * u**3 * (10 - 15 * u + 6 * u * u)) ** 2))

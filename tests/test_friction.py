@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import bars
 import numpy as np
 import pinocchio as pin
 import pytest
+from oracles import closed_form_step
+from runs import result
 
 from wbc import analytic, quantity
 from wbc.build import build
 from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
-from wbc.controller import Controller, Memory, Status
+from wbc.controller import Controller, Status
 from wbc.dynamics import reaction
 from wbc.errors import SpecError, WrenchError
 from wbc.friction import unilateral
-from wbc.oracle import Dynamics, closed_form, relative
+from wbc.oracle import relative
 from wbc.reference import Path, hold, sine
 from wbc.resources import shipped_folder
-from wbc.run import run
 from wbc.spec import load
-from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
-from wbc.wrench import Wrench
+from wbc.task import ForceTask, MotionTask, PostureTask
 
 DOWN = np.array([0.0, 0.0, -1.0])
 NO_LIMITS = dict.fromkeys(("torque", "torque_rate", "position", "velocity"))
 TURN = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0] * np.array([1, 1, 1.0])
-
-
-@lru_cache
-def result(name, *overrides):
-    return run(build(load(name, overrides)))
 
 
 @pytest.fixture(scope="module")
@@ -199,25 +192,12 @@ def test_the_program_is_the_closed_form_and_the_plant_answers_it(panda, draw, rn
         state = draw(panda, t=0.7)
         if i % 2:  # so slow that the drag follows the desired velocity in part
             state = panda.state(state.q, 0.02 * state.v, 0.7)
-        F = np.array([1, 1, 1, 10, 10, 10]) * rng.normal(size=6)
-        size = 6 if law == "book" else contact.k
-        memory = Memory(
-            t=0.699, tau=np.zeros(7), q=state.q, v=state.v,
-            loops={"board": ForceLoop(F + rng.normal(size=6), 0.1 * rng.normal(size=size))},
-        )  # fmt: skip
-        ctl.memory, given = memory, {"board": Wrench(F, "eraser")}
-        out = ctl.step(0.7, state.q, state.v, measured=given)
-        assert out.status is Status.OK, out.reason
-
-        def dynamics(name, state=state):
-            frame = state.frame(name)
-            return Dynamics(state.M, state.h, frame.J, frame.drift, frame.V, frame.T.homogeneous)
-
-        tau, vdot, lam = closed_form(panda, ctl.phases[0], law, state, dynamics, memory, given)
-        assert relative(out.tau, tau) <= bar
-        assert relative(out.vdot, vdot) <= 10 * bar
+        step = closed_form_step(ctl, "eraser", state, rng, law)
+        out, F = step.out, step.measured
+        assert relative(out.tau, step.tau) <= bar
+        assert relative(out.vdot, step.vdot) <= 10 * bar
         held, J = contact.hold(state), state.frame("eraser").J
-        assert relative(out.wrenches["board"], held.B.T @ lam["board"]) <= 10 * bar
+        assert relative(out.wrenches["board"], step.F) <= 10 * bar
         # Coulomb, spelled out: the push drags along the velocity, in the axes of the frame
         known, f = np.zeros(6), out.wrenches["board"][3:]
         R = np.eye(3) if contact.turn(state) is None else contact.turn(state)
@@ -345,7 +325,7 @@ class TestEraser:
         assert figures["board.corners"] == bars.CORNERS
 
     def test_without_compensation_it_misses(self):
-        free = ("contacts.board.feedforward=none", "tasks.draw.kp=100", "tasks.draw.kd=20")
+        free = ("contacts.board.feedforward=none", "tasks.draw.kp=100", "tasks.draw.kd=20", "duration=4")
         assert result("eraser_friction", *free).summary["metrics"]["draw.position.rms_error"] >= bars.UNCOMPENSATED
 
     def test_under_the_books_law_corners_lift_as_well(self):

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 from bars import TAU_ERROR
-from test_floating import FREE, first_tick, unconstrained
+from oracles import accelerated, closed_form_step, constrained, first_tick, unconstrained
+from test_floating import FREE
 
 from wbc.build import build
 from wbc.centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture, com, load, mass, momentum
 from wbc.check import check
 from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
-from wbc.controller import Controller, Memory, Status
+from wbc.controller import Controller, Status
 from wbc.errors import ModelError, SpecError
 from wbc.foot import RoundFoot
 from wbc.friction import unilateral
-from wbc.oracle import Dynamics, closed_form, relative
+from wbc.oracle import relative
 from wbc.pair import seen
 from wbc.reference import Hold, Path, sine
 from wbc.resources import shipped_folder
@@ -25,10 +25,10 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.spec import load as load_spec
 from wbc.surface import Sole
-from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
+from wbc.task import ForceTask, MotionTask, PostureTask
 from wbc.testing import check_contact, check_task
 from wbc.verify import verify
-from wbc.wrench import VELOCITY_AXES, Wrench
+from wbc.wrench import VELOCITY_AXES
 
 DOWN = np.array([0.0, 0.0, -1.0])
 TILTED = pin.SE3(pin.exp3(np.array([0.2, -0.3, 0.5])), np.array([0.1, -0.2, 0.3]))
@@ -243,26 +243,9 @@ class TestOracle:
         mj, data = unconstrained(robot)
         for _ in range(10):
             q, v = at_random(robot, rng)
-            out, state = first_tick(controller, q, v)
+            out, _ = first_tick(controller, q, v)
             assert out.status is Status.OK, out.reason
-            data.qpos[:], data.qvel[:] = robot.to_mujoco(q, v)
-            data.qfrc_applied[:] = np.r_[np.zeros(6), out.tau]
-            mujoco.mj_kinematics(mj, data)
-            mujoco.mj_comPos(mj, data)
-            for name, F in out.wrenches.items():
-                contact = controller.phase.contacts[name]
-                T = state.frame(contact.frame).T
-                f, m = T.rotation @ F[3:], T.rotation @ F[:3]  # on the environment
-                mujoco.mj_applyFT(
-                    mj, data, -f, -m, T.translation, int(mj.site(contact.frame).bodyid[0]), data.qfrc_applied
-                )
-                if contact.against == "box":
-                    mujoco.mj_applyFT(mj, data, f, m, T.translation, mj.body("box").id, data.qfrc_applied)
-                elif contact.against is not None:
-                    other = int(mj.site(contact.against).bodyid[0])
-                    mujoco.mj_applyFT(mj, data, f, m, T.translation, other, data.qfrc_applied)
-            mujoco.mj_forward(mj, data)
-            vdot = robot.from_mujoco(data.qpos, data.qvel, data.qacc)[2]
+            vdot = accelerated(mj, data, controller, out, q, v)
             np.testing.assert_allclose(vdot, out.vdot, atol=1e-9 * (1.0 + np.abs(vdot).max()))
 
     def test_vdot_and_lambda_are_pinocchios_constrained_dynamics(self, dual, rng):
@@ -270,34 +253,15 @@ class TestOracle:
         the box while all of it moves."""
         q = dual.keyframes["home"]
         controller = Controller(dual, palms(), carrying(dual, q), FREE, q=q)
-        models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-        crate = dual.model.frames[dual.frame_id("box")]
-        for frame in PALMS.values():
-            one = dual.model.frames[dual.frame_id(frame)]
-            here = dual.state(q, np.zeros(20))
-            other = here.frame("box").T.actInv(here.frame(frame).T)
-            models.append(
-                pin.RigidConstraintModel(
-                    pin.ContactType.CONTACT_6D, dual.model, one.parentJoint, one.placement, crate.parentJoint,
-                    crate.placement * other, pin.ReferenceFrame.LOCAL,
-                )
-            )  # fmt: skip
-        for each in models:
-            datas.append(each.createData())
-        data = dual.model.createData()
-        pin.initConstraintDynamics(dual.model, data, models, datas)
-        settings = pin.ProximalSettings(1e-14, 1e-14, 20)
+        dynamics = constrained(dual, pin.ContactType.CONTACT_6D, PALMS, on="box", iterations=20)
         for _ in range(10):
             state = dual.state(q, np.zeros(20))
             G = np.concatenate([contact.hold(state).G for contact in palms().values()])
             v = np.linalg.svd(G)[2][12:].T @ rng.uniform(-1.0, 1.0, 8)  # the palms stay where they are on the box
             out, _ = first_tick(controller, q, v)
-            tau = np.r_[np.zeros(6), out.tau]
-            vdot = pin.constraintDynamics(dual.model, data, q, v, tau, models, datas, settings)
+            vdot, wrenches = dynamics(q, v, np.r_[np.zeros(6), out.tau])
             np.testing.assert_allclose(out.vdot, vdot, atol=1e-9 * (1.0 + np.abs(vdot).max()))
-            for name, each in zip(PALMS, datas, strict=True):
-                force = each.contact_force  # on the arm
-                F = -np.r_[force.angular, force.linear]
+            for name, F in wrenches.items():
                 np.testing.assert_allclose(out.wrenches[name], F, atol=1e-9 * (1.0 + np.abs(F).max()))
 
     def test_equations_of_motion_and_constraint_at_any_velocity(self, loop, rng):
@@ -335,21 +299,10 @@ class TestFixedBase:
         ctl = Controller(robot, {"board": contact}, tasks, FREE)
         for _ in range(6):
             state = draw(robot, t=0.7)
-            F = np.array([1, 1, 1, 10, 10, 10]) * rng.normal(size=6)
-            loops = {"board": ForceLoop(F + rng.normal(size=6), 0.1 * rng.normal(size=6 if law == "book" else 1))}
-            ctl.memory = memory = Memory(t=0.699, tau=np.zeros(7), q=state.q, v=state.v, loops=loops)
-            given = {"board": Wrench(F, "flange")}
-            out = ctl.step(0.7, state.q, state.v, measured=given)
-            assert out.status is Status.OK, out.reason
-
-            def dynamics(name, state=state):
-                frame = state.frame(name)
-                return Dynamics(state.M, state.h, frame.J, frame.drift, frame.V, frame.T.homogeneous)
-
-            tau, vdot, lam = closed_form(robot, ctl.phases[0], law, state, dynamics, memory, given)
-            assert relative(out.tau, tau) <= 1e-9
-            assert relative(out.vdot, vdot) <= 1e-8
-            assert relative(out.wrenches["board"], contact.hold(state).B.T @ lam["board"]) <= 1e-8
+            step = closed_form_step(ctl, "flange", state, rng, law)
+            assert relative(step.out.tau, step.tau) <= 1e-9
+            assert relative(step.out.vdot, step.vdot) <= 1e-8
+            assert relative(step.out.wrenches["board"], step.F) <= 1e-8
 
     @pytest.mark.parametrize("solver", ["daqp", "proxqp"])
     def test_verify_holds_for_a_spec(self, tmp_path, solver):

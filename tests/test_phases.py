@@ -521,3 +521,11 @@ def several():
     made = wbc.Controller(robot, phases=[one("ab", "first", after(0.02, "then")), one("cd", "then", None)], q=q)
     made.reset(q, np.zeros(7))
     return made, q
+
+
+def test_phases_share_the_limits_that_they_do_not_change():
+    full, weak, recovered = build(load("eraser_weak")).phases
+    assert full.joint is recovered.joint
+    assert full.torque is recovered.torque
+    assert weak.joint is not full.joint
+    np.testing.assert_allclose(weak.torque.high, 0.26 * full.torque.high)

@@ -293,38 +293,29 @@ def test_eraser_rests_on_its_four_spheres():
     np.testing.assert_allclose(sensor_T_eraser, shift(0, 0.08) @ turn(0, PI), rtol=0, atol=1e-12)
 
 
-def test_chalk_touches_with_one_ball_whose_lowest_point_is_the_task_frame():
-    model = mujoco.MjSpec.from_file(str(SCENES / "tools" / "chalk.xml")).compile()
+# mass [kg], radius, from, to [m] of the cylinders along z that a tool is made of
+CHALK = (0.09, 0.016, 0.0, 0.05), (0.01, 0.005, 0.05, 0.12)  # holder, stick
+MITT = ((0.1, 0.03, 0.0, 0.12),)
+
+
+@pytest.mark.parametrize(
+    ("name", "cylinders", "com_bar", "inertia_bar"), [("chalk", CHALK, 1e-4, 1e-7), ("mitt", MITT, 1e-12, 1e-9)]
+)
+def test_a_tip_touches_with_one_ball_whose_lowest_point_is_the_task_frame(name, cylinders, com_bar, inertia_bar):
+    model = mujoco.MjSpec.from_file(str(SCENES / "tools" / f"{name}.xml")).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     (tip,) = [i for i in range(model.ngeom) if model.geom_contype[i] or model.geom_conaffinity[i]]
-    centre = np.linalg.inv(pose(data, "chalk")) @ [*data.geom_xpos[tip], 1]
+    centre = np.linalg.inv(pose(data, name)) @ [*data.geom_xpos[tip], 1]
     np.testing.assert_allclose(centre[:3], [0, 0, model.geom_size[tip, 0]], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(pose(data, "chalk"), shift(0, 0.12) @ turn(0, PI), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pose(data, name), shift(0, 0.12) @ turn(0, PI), rtol=0, atol=1e-12)
     np.testing.assert_allclose(pose(data, "wrist_sensor"), np.eye(4), rtol=0, atol=1e-12)
-    holder, stick = (0.09, 0.016, 0.0, 0.05), (0.01, 0.005, 0.05, 0.12)  # [kg], radius, from, to [m]
-    assert model.body_mass[1] == pytest.approx(sum(m for m, *_ in (holder, stick)), abs=1e-12)
-    com = sum(m * (a + b) / 2 for m, _, a, b in (holder, stick)) / model.body_mass[1]
-    np.testing.assert_allclose(model.body_ipos[1], [0, 0, com], atol=1e-4)
-    across = sum(m * ((3 * r**2 + (b - a) ** 2) / 12 + ((a + b) / 2 - com) ** 2) for m, r, a, b in (holder, stick))
-    along = sum(m * r**2 / 2 for m, r, *_ in (holder, stick))
-    np.testing.assert_allclose(model.body_inertia[1], [across, across, along], atol=1e-7)
-
-
-def test_a_mitt_touches_with_one_ball_whose_lowest_point_is_the_task_frame():
-    model = mujoco.MjSpec.from_file(str(SCENES / "tools" / "mitt.xml")).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    (tip,) = [i for i in range(model.ngeom) if model.geom_contype[i] or model.geom_conaffinity[i]]
-    centre = np.linalg.inv(pose(data, "mitt")) @ [*data.geom_xpos[tip], 1]
-    np.testing.assert_allclose(centre[:3], [0, 0, model.geom_size[tip, 0]], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(pose(data, "mitt"), shift(0, 0.12) @ turn(0, PI), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(pose(data, "wrist_sensor"), np.eye(4), rtol=0, atol=1e-12)
-    mass, radius, length = 0.1, 0.03, 0.12  # [kg, m] a cylinder
-    assert model.body_mass[1] == pytest.approx(mass, abs=1e-12)
-    np.testing.assert_allclose(model.body_ipos[1], [0, 0, length / 2], atol=1e-12)
-    across, along = mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2
-    np.testing.assert_allclose(model.body_inertia[1], [across, across, along], atol=1e-9)
+    assert model.body_mass[1] == pytest.approx(sum(m for m, *_ in cylinders), abs=1e-12)
+    com = sum(m * (a + b) / 2 for m, _, a, b in cylinders) / model.body_mass[1]
+    np.testing.assert_allclose(model.body_ipos[1], [0, 0, com], atol=com_bar)
+    across = sum(m * ((3 * r**2 + (b - a) ** 2) / 12 + ((a + b) / 2 - com) ** 2) for m, r, a, b in cylinders)
+    along = sum(m * r**2 / 2 for m, r, *_ in cylinders)
+    np.testing.assert_allclose(model.body_inertia[1], [across, across, along], atol=inertia_bar)
 
 
 def test_a_whiteboard_stands_before_a_humanoid_whose_hand_points_at_it():

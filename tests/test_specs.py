@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from functools import lru_cache
 
 import bars
 import numpy as np
 import pytest
+from runs import result
 
 from wbc import analytic
 from wbc.build import build
@@ -21,11 +21,6 @@ RUN = [name for name in SHIPPED if not load(name).robot.startswith("erd:")]  # t
 # [s] then they only stand, draw the same figure once more, or go back to where they began
 STILL = dict.fromkeys(("go2_stand", "g1_stand", "g1_line_foot", "g1_slopes", "go2_ride"), 4)
 ENOUGH = {**STILL, "g1_sway": 6, "g1_squat": 5, "panda_dual_box": 6, "g1_wipe": 3, "g1_wipe_noisy": 3}
-
-
-@lru_cache
-def result(name, *overrides):
-    return run(build(load(name, overrides)))
 
 
 def hold(name, finished):

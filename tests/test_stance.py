@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from bars import REDUNDANT_REFUSED
-from test_floating import DOWN, FREE, contacts_of, first_tick, tasks_of
+from oracles import first_tick
+from test_floating import DOWN, FREE, contacts_of, tasks_of
 
 from wbc.build import build
 from wbc.centroidal import ComTask, DistributionTask, com, mass

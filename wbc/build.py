@@ -212,7 +212,8 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
     """One phase; a spec without phases is a single one without a name."""
     geometry = base
     if entry is not None:
-        spec = base.spec.with_set(entry.set) if entry.set else base.spec
+        spec = base.spec.model_copy(update={"phases": {}})  # which have been checked against one another
+        spec = spec.with_set(entry.set) if entry.set else spec
         geometry = replace(base, spec=_active(spec, entry), faults=base.faults.within(name, tuple(entry.set)))
     contacts, references = geometry.at(q)
     if len(contacts) < len(geometry.spec.contacts):
@@ -226,7 +227,10 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
         geometry.spec.hierarchy,
     )
     poles, margins, most = _stability(geometry, contacts, tasks, q)
-    torque, joint = _limits(geometry.spec, geometry.robot, geometry.faults)
+    key = repr(("limits", geometry.spec.limits))
+    if key not in base.made or (entry is not None and any(changed.startswith("limits.") for changed in entry.set)):
+        base.made[key] = _limits(geometry.spec, geometry.robot, geometry.faults)
+    torque, joint = base.made[key]
     collision = _collision(geometry)
     exit_ = None if entry is None else exit_of(base, name, entry, follower, contacts, tasks, q)
     masses = _masses(geometry, contacts, tasks, q)

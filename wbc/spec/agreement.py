@@ -176,9 +176,11 @@ def _of_task(
 
 
 def _of_phases(spec: Spec, left_out: LeftOut, check: Callable[[Any], list[Message]]) -> Iterator[Message]:
-    tree = spec.model_dump(by_alias=True, exclude_unset=True, exclude={"phases", "expect"})
-    if spec.phases and not any(key[0] in ("phases", "contacts", "tasks") for key in left_out):
+    if not spec.phases:
+        return
+    if not any(key[0] in ("phases", "contacts", "tasks") for key in left_out):
         yield from _of_names(spec)
+    tree = spec.model_dump(by_alias=True, exclude_unset=True, exclude={"phases", "expect"})
     for name, phase in spec.phases.items():
         path: KeyPath = ("phases", name)
         yield from ((path + key, message) for key, message in _of_phase(phase, spec, left_out))
@@ -195,10 +197,25 @@ def _of_phases(spec: Spec, left_out: LeftOut, check: Callable[[Any], list[Messag
                 places[place] = key
             except NoSuchKey as missing:
                 yield (*path, "set", key), f"{dotted(missing.path)}: {missing.message}"
-        for at, message in check(changed) if places else ():
+        for at, message in check(with_sound(spec, changed, places)) if places else ():
             key = next((key for place, key in places.items() if at[: len(place)] == place), "")
             tail = message if tuple(key.split(".")) == at else f"{dotted(at)}: {message}"
             yield (*path, "set", *([key] if key else [])), tail
+
+
+def with_sound(spec: Spec, tree: dict[str, Any], places: Collection[KeyPath]) -> dict[str, Any]:
+    """A changed tree in which the entries that no place leads into stand as they are in the spec: checked already."""
+    touched = {place[:length] for place in places for length in (1, 2)}
+    sound: dict[str, Any] = {}
+    for key, value in tree.items():
+        was = getattr(spec, key)
+        if (key,) not in touched:
+            sound[key] = was
+        elif isinstance(was, dict):  # entries by name
+            sound[key] = {name: entry if (key, name) in touched else was[name] for name, entry in value.items()}
+        else:
+            sound[key] = value
+    return sound
 
 
 def _of_names(spec: Spec) -> Iterator[Message]:

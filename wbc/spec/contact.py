@@ -179,7 +179,8 @@ class Contact(OneOf):
         """Velocity axes that can move, in canonical order; the names of the screws for `free`; empty for `A`."""
         if self.natural is not None:
             return tuple(axis for axis in VELOCITY_AXES if RECIPROCAL[axis] in self.natural)
-        return tuple(self.free or ()) or tuple(a for a in VELOCITY_AXES if self.holds and a not in self.constrained)
+        held = self.constrained
+        return tuple(self.free or ()) or tuple(axis for axis in VELOCITY_AXES if self.holds and axis not in held)
 
     @property
     def force_axes(self) -> tuple[str, ...]:

@@ -14,13 +14,13 @@ from pydantic_core import core_schema
 
 from ..errors import Fault, SpecError, did_you_mean
 from ..resources import find_file, shipped_names
-from .agreement import SECTIONS, LeftOut, disagreements
+from .agreement import SECTIONS, LeftOut, disagreements, with_sound
 from .contact import Contact
 from .fields import Model, Name, Number, Pose, Positive, Text, faulty
 from .limit import Expect, Limits, Plant
 from .phase import Phase
 from .reference import Reference
-from .source import MAX_BYTES, Message, NoSuchKey, Source, parse, printable, put
+from .source import MAX_BYTES, KeyPath, Message, NoSuchKey, Source, parse, printable, put
 from .task import Task
 
 MAX_ENTRIES = 200
@@ -81,14 +81,16 @@ class Spec(Model):
         """A copy with some values changed, checked anew: {"tasks.press.kp": 0.2}."""
         tree: Any = self.model_dump(by_alias=True, exclude_unset=True)
         wrong: list[Message] = []
+        places: list[KeyPath] = []
         for key, value in changes.items():
             try:
-                tree, _ = put(tree, tuple(key.split(".")), value, SECTIONS)
+                tree, place = put(tree, tuple(key.split(".")), value, SECTIONS)
+                places.append(place)
             except NoSuchKey as missing:
                 wrong.append((missing.path, missing.message))
         if wrong:
             raise self._source.error(wrong)
-        return self.from_source(replace(self._source, tree=tree))
+        return self.from_source(replace(self._source, tree=with_sound(self, tree, places)))
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Self:

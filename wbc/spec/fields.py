@@ -93,6 +93,8 @@ class Model(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _explain(cls, value: Any, handler: Handler[Self]) -> Self:
+        if type(value) is cls:
+            return value  # checked when it was made, and frozen since
         try:
             model = handler(value)
         except ValidationError as error:
