@@ -1,12 +1,8 @@
 """What the tests share: the shipped robots, loaded once, and one seeded generator."""
 
-import gc
-import importlib
 import os
 import shutil
 import tempfile
-import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -43,26 +39,6 @@ LOADED = {
     "ur5e": ("ur5e", None, None),
     "planar3r": ("planar3r", None, None),
 }
-
-
-COLLECTED = 20.0  # [s] from one collection of garbage to the next
-
-
-@pytest.fixture(scope="session", autouse=True)
-def seldom_collected():
-    """`run` collects all garbage before it begins: of what tests keep, that takes longer than most of their runs."""
-    last = time.monotonic()
-
-    def collect():
-        nonlocal last
-        if time.monotonic() - last > COLLECTED:
-            gc.collect()
-            last = time.monotonic()
-
-    with pytest.MonkeyPatch.context() as patch:
-        seldom = SimpleNamespace(collect=collect, freeze=gc.freeze, unfreeze=gc.unfreeze)
-        patch.setattr(importlib.import_module("wbc.run"), "gc", seldom)
-        yield
 
 
 @pytest.fixture(scope="session")
