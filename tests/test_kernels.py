@@ -159,9 +159,24 @@ def test_within(rng, layout):
     """The Schur complement: the mobility of the last rows is that of the rows less what the first hold."""
     G, M, out = rng.normal(size=(7, 9)), tree_inertia(rng, 9), np.empty((2, 2))
     K = G @ np.linalg.solve(M, G.T)
-    W = np.linalg.inv(K[:3, :3])
-    kernels.within(*layout(K, W), 4, out)
+    W, inertia = np.linalg.inv(K[:3, :3]), np.zeros((2, 2))
+    assert kernels.within(*layout(K, W), 4, out, inertia)
     np.testing.assert_allclose(out, K[4:6, 4:6] - K[4:6, :3] @ W @ K[:3, 4:6], rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(inertia @ out, np.eye(2), atol=1e-9)
+    assert not kernels.within(*layout(K, W), 2, out, inertia)  # a row that the first ones hold cannot move
+
+
+def test_demand(rng, layout):
+    G, rhs, rows, lo, hi = rng.normal(size=(3, 8)), rng.normal(size=3), np.empty((3, 8)), np.empty(3), np.empty(3)
+    kernels.demand(*layout(G, rhs), rows, lo, hi)
+    for got, wanted in ((rows, G), (lo, rhs), (hi, rhs)):
+        np.testing.assert_array_equal(got, wanted)
+
+
+def test_carried_along(rng, layout):
+    R, h, g, drift = pin.exp3(rng.normal(size=3)), rng.normal(size=9), rng.normal(size=3), np.empty(3)
+    kernels.carried_along(*layout(R, h, g), 12.0, drift)
+    np.testing.assert_allclose(drift, R @ h[:3] / 12.0 + g, atol=1e-14)
 
 
 def test_add_rows(rng, layout):

@@ -53,7 +53,8 @@ def com(state: State) -> tuple[Array, Array, Array]:
     robot, terms = state.robot, state.terms
     c, J, R, g = terms.com
     if robot.floats:  # its acceleration is what the base's equations of force say, over the mass
-        drift = R.dot(terms.h[:3]) / terms.mass + g
+        drift = np.empty(3)
+        kernels.carried_along(R, terms.h, g, terms.mass, drift)
     else:
         pin.centerOfMass(robot.model, terms.data, state.q, state.v, np.zeros(state.v.size))
         drift = terms.data.acom[0].copy()

@@ -198,9 +198,7 @@ class Contact(ABC):
     def fill(self, held: Held, rows: Rows) -> None:
         """Put them in rows where they stand."""
         A: Any = rows.A
-        A["vdot"][:] = held.G
-        rows.lo[:] = held.rhs
-        rows.hi[:] = held.rhs
+        kernels.demand(held.G, held.rhs, A["vdot"], rows.lo, rows.hi)
 
     def labels(self, name: str) -> tuple[str, ...]:
         """Names of its rows and multipliers."""

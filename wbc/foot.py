@@ -61,7 +61,7 @@ class RoundFeet:
         # radius, and the height of the middle that stands; rate and bound of what dies out
         self._numbers = np.array([(foot.radius, *_standing(foot), *(foot.settling or (0.0, 0.0))) for foot in each])
         self._normals = np.array([np.zeros(3) if foot.footing is None else foot.footing.normal for foot in each])
-        self._level = np.zeros(len(each))
+        self._level, self._known = np.zeros(len(each)), False  # whether a level is not zero
 
     def hold(self, state: State) -> Mapping[str, Held]:
         """Evaluate them at a state."""
@@ -69,8 +69,8 @@ class RoundFeet:
         stored: _Stored = terms.held.get(self._feet) or _Stored(self._feet, state)
         for held in stored.held:
             held.seen = state.frame(held.frame)
-        if state.grounds or self._level.any():
-            self._level[:] = [state.grounds.get(foot, 0.0) for foot in feet]
+        if state.grounds or self._known:
+            self._level[:], self._known = [state.grounds.get(foot, 0.0) for foot in feet], bool(state.grounds)
         frames = terms.frames
         kernels.rolling(
             stored.index, self._R, self._numbers, self._normals, self._level, LIFTED, frames.R, frames.p, frames.table,

@@ -19,7 +19,7 @@ import numpy as np
 
 from . import kernels
 from .centroidal import DistributionTask, WholeBodyPosture, load
-from .dynamics import inertia, mobility, torque_map
+from .dynamics import inertia, inertia_within, mobility, torque_map
 from .effort import TorqueTask
 from .errors import LawError
 from .handover import SHARING
@@ -130,9 +130,7 @@ class WholeBodyProgram(Program):
             if rows.A.get("vdot") is not None:
                 m = rows.lo.size
                 if isinstance(self._tasks[name], MotionTask):  # what it moves while the contacts hold
-                    free = np.empty((m, m))
-                    kernels.within(K, W, start, free)
-                    rows = Rows("", rows.A, rows.lo, rows.lo, inertia(free))
+                    rows = Rows("", rows.A, rows.lo, rows.lo, inertia_within(K, W, start, m))
                 start += m
             costs.append((rows, weights[name], levels[name]))
         state.primary = (stack, inertia(K) if self.posture else _NO_METRIC, K)

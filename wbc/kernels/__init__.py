@@ -4,10 +4,10 @@ Plain loops over small dense arrays; the theory is told where they are called. S
 """
 
 from .algebra import gauss, inverse, minimum, mobility, within
-from .contact import carried, edge, height, rolling, select, settle, share, wanted
+from .contact import carried, demand, edge, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
 from .limit import braking_bounds, torque_window
-from .motion import computed_torque, frames, log, point_target, pose_errors, relative, shift
+from .motion import carried_along, computed_torque, frames, log, point_target, pose_errors, relative, shift
 from .null_space import least_squares, root
 from .program import active, add_rows, add_square, equations, residuals, torque, total
 from .touch import angle, slip, touch
@@ -20,7 +20,9 @@ __all__ = [
     "angle",
     "braking_bounds",
     "carried",
+    "carried_along",
     "computed_torque",
+    "demand",
     "edge",
     "equations",
     "feedback",

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .compiled import COUNT, NOTHING, TRUTH, Array, F, M, V, compiled, inner, m, v
+from .compiled import COUNT, TRUTH, Array, F, M, V, compiled, inner, m, v
 
 
 @inner
@@ -155,9 +155,12 @@ def gauss(M: Array, G: Array, b: Array, vdot: Array, x: Array, K: Array) -> bool
     return True
 
 
-@compiled(NOTHING, m, m, COUNT, M)
-def within(K: Array, W: Array, first: int, out: Array) -> None:
-    """out = K_oo - K_ho' W K_ho: a mobility of the rows `first` and on, in what those of W, the first, leave."""
+@compiled(TRUTH, m, m, COUNT, M, M)
+def within(K: Array, W: Array, first: int, out: Array, inertia: Array) -> bool:
+    """out = K_oo - K_ho' W K_ho: a mobility of the rows `first` and on, in what those of W, the first, leave.
+
+    `inertia` becomes its inverse; False as of `inverse`.
+    """
     m, k = out.shape[0], W.shape[0]
     for j in range(m):
         for i in range(j + 1):
@@ -168,6 +171,7 @@ def within(K: Array, W: Array, first: int, out: Array) -> None:
                     t += W[a, b] * K[b, first + j]
                 s -= K[a, first + i] * t
             out[i, j] = out[j, i] = s
+    return inverse(out, inertia)
 
 
 @compiled(TRUTH, m, v, v, v, COUNT, F, V, V)

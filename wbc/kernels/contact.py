@@ -115,6 +115,15 @@ def height(R: Array, p: Array, normal: Array, level: float, x: float, y: float) 
     return h - abs(a) * x - abs(b) * y
 
 
+@compiled(NOTHING, m, v, M, V, V)
+def demand(G: Array, rhs: Array, rows: Array, lo: Array, hi: Array) -> None:
+    """rows = G and lo = hi = rhs, where they stand in a problem."""
+    for i in range(rhs.size):
+        lo[i] = hi[i] = rhs[i]
+        for j in range(G.shape[1]):
+            rows[i, j] = G[i, j]
+
+
 @compiled(NOTHING, v, v, F, F, V)
 def settle(Adot_V: Array, slip: Array, rate: float, most: float, rhs: Array) -> None:
     """rhs -= Adot V + c with c = rate A V, each at most `most`."""

@@ -229,3 +229,10 @@ def point_target(
     for i in range(3):
         for j in range(6):
             b[i] += K[i, j] * e[j]
+
+
+@compiled(NOTHING, m, v, v, F, V)
+def carried_along(R: Array, h: Array, g: Array, mass: float, drift: Array) -> None:
+    """drift = R f / mass + g, with the force f of a base's first three equations h = (f, ...) in its axes."""
+    for i in range(3):
+        drift[i] = (R[i, 0] * h[0] + R[i, 1] * h[1] + R[i, 2] * h[2]) / mass + g[i]
