@@ -195,10 +195,10 @@ class DistributionTask:
         stored: _Shared | None = state.terms.held.get((self, names))
         if stored is None or stored.moved.shape != (k, n):
             stored = state.terms.held[self, names] = _Shared.of({name: len(contacts[name].G) for name in names}, n)
-        weight, S, D, lam, moved, metric, columns = stored
+        weight, S, D, moved, metric, columns = stored
+        lam = np.zeros(k)
         # a row of A is a unit force, or a unit moment
         kernels.carried(push, A, SOLE_RADIUS, weight, S)
-        lam.fill(0.0)
         if self.shares or self.press or fade < 1.0:
             start = 0
             for name, each in zip(names, held, strict=True):
@@ -244,7 +244,6 @@ class _Shared(NamedTuple):
     weight: Array  # (k,)
     S: Array  # (6, 6)
     D: Array  # (k, 6)
-    lam: Array  # (k,)
     moved: Array  # (k, nv)
     metric: Array  # (k, k)
     columns: dict[str, Array | None]
@@ -259,7 +258,7 @@ class _Shared(NamedTuple):
         for name, size in sizes.items():
             columns[name] = one[:, start : start + size]
             start += size
-        return cls(np.empty(k), np.empty((6, 6)), np.empty((k, 6)), np.empty(k), moved, np.zeros((k, k)), columns)
+        return cls(np.empty(k), np.empty((6, 6)), np.empty((k, 6)), moved, np.zeros((k, k)), columns)
 
 
 class WholeBodyPosture(PostureTask):

@@ -83,7 +83,7 @@ class MotionTask:
         self.raw = law == "book" and contact is not None  # tracks the raw y of the book on all axes
         self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
         self.robot_axes = list(robot_axes)
-        self._told: tuple[float, Any, Sample] | None = None  # when, since which start, what: of the last tick
+        self._told: tuple[State, Any, Sample] | None = None  # at which state, since which start, what
         self.Kp, self.Kd = self._lift(kp, "kp"), self._lift(kd, "kd")
         self._K = np.hstack((self.Kp, self.Kd))
 
@@ -112,9 +112,9 @@ class MotionTask:
     def desired(self, state: State) -> Sample:
         """The reference as it is followed at this tick: since the task began, led in from where the frame was then."""
         start = state.starts.get(self)
-        if self._told is None or self._told[0] != state.t or self._told[1] is not start:
+        if self._told is None or self._told[0] is not state or self._told[1] is not start:
             sample = self.reference(state.t) if start is None else start.sample(self.reference, state.t)
-            self._told = (state.t, start, sample)
+            self._told = (state, start, sample)
         return self._told[2]
 
     def along(self, state: State) -> Array:
