@@ -173,6 +173,14 @@ def test_demand(rng, layout):
         np.testing.assert_array_equal(got, wanted)
 
 
+def test_demands(rng, layout):
+    tables, biases, rows = rng.normal(size=(4, 6, 10)), rng.normal(size=(4, 6)), np.empty((12, 8))
+    lo, hi = np.empty((2, 12))
+    kernels.demands(*layout(tables, biases), rows, lo, hi)
+    np.testing.assert_array_equal(rows, tables[:, :3, :8].reshape(12, 8))
+    np.testing.assert_array_equal([lo, hi], [biases[:, :3].ravel()] * 2)
+
+
 def test_carried_along(rng, layout):
     R, h, g, drift = pin.exp3(rng.normal(size=3)), rng.normal(size=9), rng.normal(size=3), np.empty(3)
     kernels.carried_along(*layout(R, h, g), 12.0, drift)

@@ -84,6 +84,11 @@ class RoundFeet:
             held.cone = None if pushes is None else pushes.hold(foot, state, held.A, held.G, held.inverse)[2]
         return dict(zip(self.feet, stored.held, strict=True))
 
+    def fill(self, state: State, G: Array, low: Array, high: Array) -> None:
+        """Put what was held at this state in rows where they stand, those of one foot after those of another."""
+        stored: _Stored = state.terms.held[self._feet]
+        kernels.demands(stored.table, stored.bias, G, low, high)
+
 
 class _Stored:
     """What round feet demand, side by side, and each one's part of it."""

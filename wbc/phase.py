@@ -417,7 +417,7 @@ class Program:
         """Names of active rows of the last problem, with which of two limits it is that binds."""
         joints = state.robot.joints
         names = [f"{name}.lifted" for name in self.pushing if state.contacts[name].lifted]
-        names += [f"{name}.{state.loops[name].cut}" for name in self.pushing if state.loops[name].cut]
+        names += [f"{name}.{state.loops[name].cut}" for name in self.force if state.loops[name].cut]
         for i in found:
             label = self.last.labels[i]
             kind, _, joint = label[:-1].partition("[")

@@ -146,11 +146,13 @@ class MotionTask:
         """The task's own rows G vdot = b: (s, nv) and (s,)."""
         frame = self.seen(state)
         y = self.acceleration(state)
-        y -= frame.drift
         if self.raw:
-            return frame.J[self.robot_axes], y[self.robot_axes]
+            return frame.J[self.robot_axes], (y - frame.drift)[self.robot_axes]
         S = self.selection if self.contact is None else state.contacts[self.contact].free
-        return S.dot(frame.J), S.dot(y)
+        selected, bias, b = np.empty((len(S), frame.table.shape[1])), np.empty(len(S)), np.empty(len(S))
+        kernels.select(S, frame.table, selected, bias)
+        kernels.wanted(S, y, bias, b)
+        return selected[:, :-2], b
 
     def stack(self, state: State) -> tuple[Array, Array]:
         """G vdot = b with the contacts' rows first: they hold anyway, and with them the metric of the rows is the

@@ -57,7 +57,8 @@ class WholeBodyProgram(Program):
         super().__init__(phase, start)
         # their rows stand first in the problem, and are read where they stand
         problem, n = self.strict.problem, self.strict.problem.g.size
-        self._G, self._rhs = problem.C[: self.rank, : start.robot.nv], problem.lo[n : n + self.rank]
+        self._G, stop = problem.C[: self.rank, : start.robot.nv], n + self.rank
+        self._rhs, self._top = problem.lo[n:stop], problem.hi[n:stop]
         self._joints, self._base = (self.strict.coefficients(name) for name in ("torque", "base"))
 
     def named(self, starts: Mapping[str, Any]) -> Mapping[Any, Any]:
@@ -93,12 +94,16 @@ class WholeBodyProgram(Program):
         return [Rows("contacts", {"vdot": G}, rhs, rhs)]
 
     def _fill_contacts(self, state: State) -> None:
-        if not self.redundant:
+        feet = self.phase.feet
+        if self.redundant:
+            self._G[:], self._rhs[:] = self._independent(state)
+            self._top[:] = self._rhs
+            self._fill_cones(state)
+        elif feet is not None and len(feet.feet) == len(self.phase.contacts):
+            feet.fill(state, self._G, self._rhs, self._top)
+            self._fill_cones(state)
+        else:
             super()._fill_contacts(state)
-            return
-        self._G[:], self._rhs[:] = self._independent(state)
-        self.strict.stored["contacts"].hi[:] = self._rhs
-        self._fill_cones(state)
 
     def _dynamic_rows(self, state: State) -> list[Rows]:
         limit = self.phase.torque

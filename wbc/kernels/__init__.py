@@ -4,7 +4,7 @@ Plain loops over small dense arrays; the theory is told where they are called. S
 """
 
 from .algebra import gauss, inverse, minimum, mobility, within
-from .contact import carried, demand, edge, height, rolling, select, settle, share, wanted
+from .contact import carried, demand, demands, edge, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
 from .limit import braking_bounds, torque_window
 from .motion import carried_along, computed_torque, frames, log, point_target, pose_errors, relative, shift
@@ -23,6 +23,7 @@ __all__ = [
     "carried_along",
     "computed_torque",
     "demand",
+    "demands",
     "edge",
     "equations",
     "feedback",

@@ -124,6 +124,18 @@ def demand(G: Array, rhs: Array, rows: Array, lo: Array, hi: Array) -> None:
             rows[i, j] = G[i, j]
 
 
+@compiled(NOTHING, t, m, M, V, V)
+def demands(tables: Array, biases: Array, rows: Array, lo: Array, hi: Array) -> None:
+    """The same of contacts that hold as many rows each, the first of `tables` and `biases`, one after another."""
+    k, n = rows.shape[0] // tables.shape[0], rows.shape[1]
+    for f in range(tables.shape[0]):
+        for i in range(k):
+            row = f * k + i
+            lo[row] = hi[row] = biases[f, i]
+            for j in range(n):
+                rows[row, j] = tables[f, i, j]
+
+
 @compiled(NOTHING, v, v, F, F, V)
 def settle(Adot_V: Array, slip: Array, rate: float, most: float, rhs: Array) -> None:
     """rhs -= Adot V + c with c = rate A V, each at most `most`."""
