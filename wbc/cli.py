@@ -23,9 +23,23 @@ from .errors import Fault, SpecError, WbcError
 if TYPE_CHECKING:
     from .spec import Spec
 
-_SET = click.option(
+_OVERRIDES = click.option(
     "--set", "overrides", multiple=True, metavar="KEY.PATH=VALUE", help="Change a value of the spec; may be repeated."
 )
+_OUTSIDE = "wbc.allow_outside"
+
+
+def _asked(context: click.Context, _: click.Parameter, given: bool) -> None:
+    context.meta[_OUTSIDE] = given
+
+
+def _SET(command: Callable[..., None]) -> Callable[..., None]:
+    """What every command has that loads a spec: `--set`, and `--allow-outside`, which `_load` asks for."""
+    allowed = "Models may be, and may draw in, files outside of the spec's folder."
+    outside = click.option("--allow-outside", is_flag=True, expose_value=False, callback=_asked, help=allowed)
+    return _OVERRIDES(outside(command))
+
+
 _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, all else on stderr.")
 _SOLVER = click.option("--solver", metavar="NAME", help="QP solver: daqp, proxqp, or a backend of qpsolvers.")
 _HIERARCHY = click.option(
@@ -185,7 +199,8 @@ def _load(
     from .spec import load
 
     own = {"solver": solver, "duration": None if duration is None else repr(duration), "hierarchy": hierarchy}
-    return load(spec, (*overrides, *(f"{key}={value}" for key, value in own.items() if value is not None)))
+    given = (*overrides, *(f"{key}={value}" for key, value in own.items() if value is not None))
+    return load(spec, given, click.get_current_context().meta.get(_OUTSIDE, False))
 
 
 @contextmanager

@@ -8,8 +8,7 @@ limits without a word.
 from __future__ import annotations
 
 import warnings
-import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +17,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from . import material, urdf
+from . import files, material, urdf
 from .errors import ModelError, ModelMismatch, did_you_mean
 from .qp import Array
 from .resources import shipped, shipped_names
@@ -60,16 +59,18 @@ def compose(
     scene: str | None = None,
     base: str | None = None,
     feet: Mapping[str, urdf.Foot] | None = None,
+    folders: Sequence[Path] | None = None,
 ) -> Composition:
     """Robot, tool and scene put together.
 
     Of a robot in URDF, `base` is "fixed" or "floating", and `feet` are by frame what it stands on (see `urdf`).
+    `folders`: where files may be read (see `files`); None: anywhere.
 
     The scene is the parent, so that its options hold; the robot stands at the world's origin or at the scene's site
     `robot`; the tool hangs on the robot's site `flange`. Position servos become motors. Equalities of the scene that
     name a site which is not there (of another tool) are left out.
     """
-    arm = _read(file := find("scenes/robots", str(robot)), base)
+    arm = _read(file := find("scenes/robots", str(robot)), folders, base)
     if file.suffix == ".urdf":
         urdf.add_feet(arm, feet or {})
     keys = {key.name: np.array(key.qpos, float) for key in arm.keys}
@@ -81,14 +82,14 @@ def compose(
         if tool:
             if arm.site("flange") is None:
                 raise ModelError(f"robot {str(robot)!r} has no site 'flange' to carry the tool {tool!r}")
-            hand = _read(find("scenes/tools", tool))
+            hand = _read(find("scenes/tools", tool), folders)
             driven = {actuator.target for actuator in hand.actuators}
             passive += _named(joint for joint in hand.joints if joint.name not in driven)
             arm.attach(hand, prefix="", site="flange")
         if not scene:
             arm.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
             return Composition(arm, keys, tuple(passive))
-        world = _read(find("scenes", scene))
+        world = _read(find("scenes", scene), folders)
         passive += _named(world.joints)
         mount = world.site("robot")
         place = {"site": mount} if mount is not None else {"frame": world.worldbody.add_frame()}
@@ -162,13 +163,16 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
     return model
 
 
-def _read(path: Path, base: str | None = None) -> mujoco.MjSpec:
+def _read(path: Path, folders: Sequence[Path] | None, base: str | None = None) -> mujoco.MjSpec:
     if base is not None and path.suffix != ".urdf":
         raise ModelError("`base` is for URDF: an MJCF file says it by a free joint; expected none")
     try:
+        files.judge(path, folders)
         with _composing():
-            return urdf.read(path, base) if path.suffix == ".urdf" else mujoco.MjSpec.from_file(str(path))
-    except (ValueError, RuntimeError, OSError, ET.ParseError) as error:
+            return urdf.read(path, base, folders) if path.suffix == ".urdf" else mujoco.MjSpec.from_file(str(path))
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror or error}; expected a file that can") from error
+    except (ValueError, RuntimeError) as error:
         raise ModelError(f"{path}: {error}") from error
 
 

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pinocchio as pin
 
+from . import files
 from . import spec as specs
 from .errors import ModelError, ModelMismatch, SpecError, did_you_mean
 from .faults import Faults, Place
 from .model import find
+from .resources import shipped_folder
 from .robot import Robot
 from .urdf import Foot
 
@@ -20,7 +22,7 @@ MOVING = (specs.MotionTask, specs.ImpedanceTask, specs.AdmittanceTask)
 
 def load_robot(spec: specs.Spec, faults: Faults) -> Robot:
     """The robot of a spec with its tool and scene. Raises SpecError."""
-    files: dict[str, str] = {}
+    found: dict[str, str] = {}
     named = (
         ("robot", "scenes/robots", spec.robot),
         ("tool", "scenes/tools", spec.tool),
@@ -29,18 +31,30 @@ def load_robot(spec: specs.Spec, faults: Faults) -> Robot:
     for key, kind, name in named:
         if name is not None:
             with faults.at(key):
-                files[key] = _file(spec, kind, name)
+                found[key] = _file(spec, kind, name)
     faults.check()
+    folders = _folders(spec, found)
     try:
-        places = files["robot"], files.get("tool"), files.get("scene")
-        robot = Robot.load(*places, spec.gravity, spec.robot, spec.base, _feet(spec))
+        places = found["robot"], found.get("tool"), found.get("scene")
+        robot = Robot.load(*places, spec.gravity, spec.robot, spec.base, _feet(spec), folders)
     except ModelError as error:
-        faults.add(("base",) if "`base`" in str(error) else (_blamed(files),), _told(error))
+        faults.add(("base",) if "`base`" in str(error) else (_blamed(found, folders),), _told(error))
     else:
         if robot.nv:
             return robot
         faults.add(("robot",), "it has no joint; expected a robot that can move")
     raise SpecError(faults.found)
+
+
+def _folders(spec: specs.Spec, found: Mapping[str, str]) -> tuple[Path, ...] | None:
+    """Where files may be read: the spec's folder and what is shipped; more when asked. None: anywhere."""
+    if spec.allow_outside:
+        return None
+    more = [find("", name).parent.parent for name in found.values() if name.startswith("erd:")]
+    more += [
+        Path(name).expanduser().parent for key, name in found.items() if Path(name).suffix and spec.set_by_hand(key)
+    ]
+    return files.real([Path(spec.file).parent, *more, shipped_folder("scenes")])
 
 
 def _feet(spec: specs.Spec) -> dict[str, Foot]:
@@ -64,14 +78,14 @@ def _file(spec: specs.Spec, kind: str, name: str) -> str:
         raise ModelError("expected the name of a file, got one that no file can have") from None
 
 
-def _blamed(files: Mapping[str, str]) -> str:
+def _blamed(found: Mapping[str, str], folders: tuple[Path, ...] | None) -> str:
     """The first of robot, tool and scene with which they can no longer be put together."""
     given: dict[str, str] = {}
     for key in ("robot", "tool", "scene"):
-        if key in files:
-            given[key] = files[key]
+        if key in found:
+            given[key] = found[key]
             try:
-                Robot.load(given["robot"], given.get("tool"), given.get("scene"))
+                Robot.load(given["robot"], given.get("tool"), given.get("scene"), folders=folders)
             except ModelError:
                 return key
     return "robot"

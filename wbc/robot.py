@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -215,14 +216,16 @@ class Robot:
         name: str = "",
         base: str | None = None,
         feet: Mapping[str, Foot] | None = None,
+        folders: Sequence[Path] | None = None,
     ) -> Robot:
         """A robot with its tool, in its scene, from shipped names, paths or `erd:NAME`.
 
         Of a URDF `base` is "fixed" or "floating" (None: floating where an SRDF beside it gives `root_joint` a pose),
         and `feet` tell by frame what the simulator has it stand on, as shapes are dropped.
+        `folders`: where model files and what they name may be read (see `files`); None: anywhere.
         Raises ModelError for files that cannot be used, ModelMismatch when MuJoCo and Pinocchio disagree.
         """
-        composed = models.compose(robot, tool, scene, base, feet)
+        composed = models.compose(robot, tool, scene, base, feet, folders)
         plant = mj = models.compile_model(composed.spec)
         if composed.passive:
             mj = models.compile_model(models.lock(composed))

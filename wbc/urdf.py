@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import importlib.metadata
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
+from . import files
 from .errors import ModelError, did_you_mean
 from .qp import Array
 
@@ -61,17 +62,18 @@ def find_example(name: str) -> Path:
     raise ModelError(f"example-robot-data has no robot {name!r}{hint}")
 
 
-def read(path: Path, base: str | None = None) -> mujoco.MjSpec:
+def read(path: Path, base: str | None = None, folders: Sequence[Path] | None = None) -> mujoco.MjSpec:
     """The tree of a URDF with a motor for each joint, its limits of velocity, and its poses as keyframes.
 
-    `base`: "fixed" or "floating"; None: as an SRDF has it. Raises what MuJoCo and the parser raise.
+    `base`: "fixed" or "floating"; None: as an SRDF has it. `folders`: where an SRDF may be read; None: anywhere.
+    Raises what MuJoCo and the parser raise. The file has passed `files.judge`.
     """
     root = ET.parse(path).getroot()
     for link in root.iter("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
         _settle_inertia(link)
-    for extension in root.findall("mujoco"):
+    for extension in [each for each in root if each.tag not in ("link", "joint")]:  # of ROS, of Gazebo, of MuJoCo
         root.remove(extension)
     ET.SubElement(
         ET.SubElement(root, "mujoco"), "compiler", strippath="false", fusestatic="false", balanceinertia="true"
@@ -86,7 +88,7 @@ def read(path: Path, base: str | None = None) -> mujoco.MjSpec:
             joint.userdata = [float(velocity[joint.name] or 0.0)]
         actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gainprm[0] = 1.0
-    poses = _poses(path, {joint.name for joint in spec.joints})
+    poses = _poses(path, {joint.name for joint in spec.joints}, folders)
     if base == "floating" or (base is None and any(ROOT in pose for pose in poses.values())):
         spec.worldbody.first_body().add_freejoint(name=ROOT)
     if poses:
@@ -111,11 +113,14 @@ def _settle_inertia(link: ET.Element) -> None:
                 inertia.set(f"i{axis}{axis}", repr(float(inertia.get(f"i{axis}{axis}", 0.0)) + LEAST))
 
 
-def _poses(path: Path, joints: set[str]) -> dict[str, dict[str, list[float]]]:
+def _poses(path: Path, joints: set[str], allowed: Sequence[Path] | None) -> dict[str, dict[str, list[float]]]:
     """Poses of the SRDF that belongs to a URDF: of its name, else the one that places most of its joints."""
     best: tuple[tuple[bool, int], dict[str, dict[str, list[float]]]] = ((False, 0), {})
     folders = [path.parent, path.parent.parent / "srdf"]
     for file in sorted(file for folder in folders if folder.is_dir() for file in folder.glob("*.srdf")):
+        if not files.readable(file, allowed):
+            continue
+        files.elements(file)
         poses = {}
         for state in ET.parse(file).getroot().iter("group_state"):
             pose = {str(j.get("name")): [float(x) for x in str(j.get("value")).split()] for j in state.iter("joint")}

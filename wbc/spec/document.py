@@ -68,6 +68,15 @@ class Spec(Model):
         """The name of the file as messages show it."""
         return self._source.file
 
+    def set_by_hand(self, key: str) -> bool:
+        """Whether the value of `key` was not read in the file: a `--set` brought it."""
+        return self.fault((key,), "").file != self.file
+
+    @property
+    def allow_outside(self) -> bool:
+        """Whether the models may draw in files from anywhere."""
+        return self._source.allow_outside
+
     def where(self, *path: str | int) -> tuple[int, int]:
         """Line and column of the nearest enclosing key that is in the file, from 1; (0, 0) without a file."""
         fault = self.fault(path, "")
@@ -138,13 +147,13 @@ def _messages(error: ValidationError) -> list[Message]:
     return [(each["loc"], each["msg"]) for each in error.errors(include_url=False)]
 
 
-def load(file: str | Path, overrides: Mapping[str, str] | Sequence[str] = ()) -> Spec:
+def load(file: str | Path, overrides: Mapping[str, str] | Sequence[str] = (), allow_outside: bool = False) -> Spec:
     """Read a spec: a path, or the bare name of a shipped one. Raises SpecError with every fault at once.
 
     `overrides` are `key.path=value` texts, as of `--set`, or a mapping from key path to value text. They are applied
-    before anything is checked.
+    before anything is checked. `allow_outside`: the models may be, and draw in, files outside of the spec's folder.
     """
-    source = _read(str(file))
+    source = replace(_read(str(file)), allow_outside=allow_outside)
     pairs = [f"{key}={value}" for key, value in overrides.items()] if isinstance(overrides, Mapping) else overrides
     for text in pairs:
         source = source.override(text, SECTIONS)

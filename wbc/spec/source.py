@@ -107,6 +107,7 @@ class Source:
     places: Mapping[KeyPath, Place] = field(default_factory=dict)
     found: tuple[Fault, ...] = ()  # what was wrong but could be read past
     blind: frozenset[KeyPath] = frozenset()  # where the value is not what was written; nothing more is said there
+    allow_outside: bool = False  # whether the models that it names may stand outside of its folder
 
     def fault(self, path: KeyPath, message: str) -> Fault:
         """A fault at the nearest enclosing key that exists."""
