@@ -23,7 +23,7 @@ from .errors import ModelError
 
 MAX_XML, MAX_FILE = 16 * 2**20, 256 * 2**20  # [bytes] of an XML file, of a mesh or a picture
 MAX_DEPTH, MAX_XMLS, MAX_PLACES = 200, 100, 200_000
-MAX_COPIES, MAX_CELLS = 10_000, 10**8  # of a body or an element; of a height field or a texture
+MAX_COPIES, MAX_CELLS = 100_000, 10**8  # of a body or an element; of a height field or a texture
 ROOTS = {".urdf": ("robot",), ".srdf": ("robot",)}  # any other: MJCF
 MJCF = ("mujoco", "mujocoinclude")
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
@@ -106,6 +106,9 @@ def judge(file: Path, folders: Sequence[Path] | None = None) -> None:
                             element.wrong(f"more than {MAX_XMLS} files of one model")
     bases, inside = _places(seen)
     every = [element for one in seen.values() for element in one]
+    for element in every:
+        if element.tag == "plugin" and folders is not None:
+            element.wrong("plugins run code of their own, which no limit here holds; expected none, or --allow-outside")
     named = [(element, name) for element in every for name in element.names]
     if len(named) * len(bases) * (1 + len(inside)) > MAX_PLACES:
         named[0][0].wrong(f"more than {MAX_PLACES} places of files to look at; expected one model")

@@ -24,7 +24,9 @@ from .resources import shipped, shipped_names
 
 _FINITE = (
     "body_mass", "body_inertia", "body_pos", "body_ipos", "jnt_axis", "jnt_pos", "jnt_range", "dof_armature",
-    "dof_damping", "dof_frictionloss", "actuator_gear", "actuator_ctrlrange", "actuator_forcerange",
+    "body_quat", "body_iquat", "dof_damping", "dof_frictionloss", "actuator_gear", "actuator_ctrlrange",
+    "actuator_forcerange", "actuator_gainprm", "jnt_actfrcrange", "jnt_stiffness", "jnt_user", "qpos0", "qpos_spring",
+    "site_pos", "site_quat", "geom_pos", "geom_quat", "geom_size", "geom_friction", "eq_data", "key_qpos",
 )  # fmt: skip
 AGREEMENT = 1e-8  # worst relative error of M, h, g, J, drift and pose at random states
 
@@ -157,9 +159,10 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"MuJoCo refuses the model: {error}") from error
     material.settle(model)
-    for name in _FINITE:
-        if not np.isfinite(getattr(model, name)).all():
-            raise ModelError(f"the model holds a number that is not finite, in {name}")
+    numbers = {name: getattr(model, name) for name in _FINITE}
+    for name, values in (numbers | {"timestep": model.opt.timestep, "gravity": model.opt.gravity}).items():
+        if not np.isfinite(values).all():
+            raise ModelError(f"the model holds a number that is not finite, in {name}; expected finite ones")
     return model
 
 

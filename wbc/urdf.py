@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -73,6 +74,7 @@ def read(path: Path, base: str | None = None, folders: Sequence[Path] | None = N
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
         _settle_inertia(link)
+    _check(root)
     for extension in [each for each in root if each.tag not in ("link", "joint")]:  # of ROS, of Gazebo, of MuJoCo
         root.remove(extension)
     ET.SubElement(
@@ -94,6 +96,19 @@ def read(path: Path, base: str | None = None, folders: Sequence[Path] | None = N
     if poses:
         _add_keys(spec, poses)
     return spec
+
+
+def _check(root: ET.Element) -> None:
+    """What MuJoCo takes without a word: limits that are no numbers, or less than none, and links in several pieces."""
+    for joint in root.iter("joint"):
+        for key, text in [item for limit in joint.findall("limit") for item in limit.items()]:
+            if not math.isfinite(number := float(text)) or (number < 0 and key in ("effort", "velocity")):
+                kind = "finite number" if key in ("lower", "upper") else "number of at least 0"
+                raise ModelError(f"joint {joint.get('name')!r} has the limit {key}={text[:40]!r}; expected a {kind}")
+    children = {child.get("link") for joint in root.iter("joint") for child in joint.findall("child")}
+    roots = [name for link in root.findall("link") if (name := link.get("name")) not in children]
+    if len(roots) > 1:
+        raise ModelError(f"links {roots[0]!r} and {roots[1]!r} hang on no joint; expected one root of the tree")
 
 
 def _settle_inertia(link: ET.Element) -> None:
