@@ -25,6 +25,7 @@ MAX_BYTES = 256 * 1024
 MAX_DEPTH = 32
 MAX_VALUES = 10_000
 MAX_FAULTS = 100
+MAX_MESSAGE = 1000
 TINY, HUGE = 1e-30, 1e30  # of numbers: a few multiplied stay finite
 
 # libyaml is some twenty times faster; what it and the Python parser read differently is checked here, before and after
@@ -113,6 +114,8 @@ class Source:
         """A fault at the nearest enclosing key that exists."""
         above = (path[:length] for length in range(len(path), -1, -1))
         place = next((self.places[key] for key in above if key in self.places), (self.file, 0, 0))
+        if len(message) > MAX_MESSAGE:  # a name of any length may be quoted in it; what to do stands at the end
+            message = f"{message[: MAX_MESSAGE // 2]} ... {message[-MAX_MESSAGE // 2 :]}"
         return Fault(*place, dotted(path), message)
 
     def error(self, messages: Iterable[Message] = ()) -> SpecError:
