@@ -177,11 +177,12 @@ def schema() -> None:
 @main.command()
 @_JSON
 def doctor(as_json: bool) -> None:
-    """Say what this installation consists of: versions, solvers, where each package was found."""
+    """Say what this installation consists of, what is wrong with it, and what to do; exit 1 if it cannot work."""
     from .doctor import examine
 
     report = examine()
     _emit(report, as_json, lambda: _tell_doctor(report))
+    sys.exit(0 if report["ok"] else 1)
 
 
 # --- helpers of the commands ---
@@ -354,12 +355,11 @@ def _tell_verify(certificate: Any) -> None:
 
 def _tell_doctor(report: dict[str, Any]) -> None:
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table("what", "found", show_header=False)
-    for key, value in report.items():
-        if isinstance(value, dict):
-            for name, found in value.items():
-                table.add_row(f"{key}: {name}", str(found))
-        else:
-            table.add_row(key, ", ".join(map(str, value)) if isinstance(value, list) else str(value))
-    _console().print(table)
+    console, styles = _console(), {"ok": "green", "note": "yellow", "problem": "red"}
+    table = Table("", "what", "found", "what to do")
+    for each in report["findings"]:
+        table.add_row(Text(each["status"], styles[each["status"]]), each["name"], each["found"], each["do"])
+    console.print(table)
+    console.print("nothing that wbc needs is broken" if report["ok"] else "PROBLEMS: wbc cannot be relied on here")
