@@ -146,6 +146,8 @@ ATTACKS: dict[str, str | bytes] = {
     "robot_is_a_path": changed("robot: panda", "robot: ../../../../etc/passwd"),
     "robot_is_a_device": changed("robot: panda", "robot: /dev/zero"),
     "robot_is_erd": changed("robot: panda", "robot: erd:../../x"),
+    "phase_sets_a_section_to_a_number": changed("expect:", "phases: {a: {set: {tasks: 0.2}}}\nexpect:"),
+    "phase_sets_a_section_to_others": changed("expect:", "phases: {a: {set: {tasks: {x: {type: posture}}}}}\nexpect:"),
     "unknown_key": changed("rate: 1000 ", "rat: 1000 "),
     "unknown_solver": changed("rate: 1000 ", "rate: 1000\nsolver: os.system\n"),
 }

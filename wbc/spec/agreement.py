@@ -211,7 +211,7 @@ def with_sound(spec: Spec, tree: dict[str, Any], places: Collection[KeyPath]) ->
         was = getattr(spec, key)
         if (key,) not in touched:
             sound[key] = was
-        elif isinstance(was, dict):  # entries by name
+        elif isinstance(was, dict) and (key,) not in places:  # entries by name
             sound[key] = {name: entry if (key, name) in touched else was[name] for name, entry in value.items()}
         else:
             sound[key] = value
