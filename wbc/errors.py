@@ -90,6 +90,10 @@ class SimulationError(WbcError):
         super().__init__(message)
 
 
+class LogError(WbcError):
+    """A log that cannot be read, or a tick that it does not have."""
+
+
 class SolverError(WbcError):
     """A solver that is unknown or not installed."""
 
