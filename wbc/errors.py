@@ -91,7 +91,11 @@ class SimulationError(WbcError):
 
 
 class LogError(WbcError):
-    """A log that cannot be read, or a tick that it does not have."""
+    """A log that cannot be read, or a tick that it does not have; `file` says which log, `message` what."""
+
+    def __init__(self, file: str, message: str) -> None:
+        self.file, self.message = file, message
+        super().__init__(f"{file}: {message}")
 
 
 class SolverError(WbcError):

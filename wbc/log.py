@@ -68,7 +68,7 @@ class Log:
         arrays: dict[str, Any] = {name: self[name] for name in self._arrays}
         np.savez_compressed(
             path, meta=np.array(json.dumps(self.meta)), active_names=np.array(names, dtype=str), active=mask,
-            **arrays, **self.tape,
+            **(arrays | self.tape),
         )  # fmt: skip
 
     @classmethod

@@ -31,7 +31,7 @@ _SIZES = {"f": 1, "F": 1, "i": 1, "T": 12}
 
 
 class Foreign:
-    """Stands for an argument that could not be kept, and is as useless to a controller; `told`: the name of its type."""
+    """Stands for an argument that could not be kept, and is as useless to a controller; `told`: its type's name."""
 
     def __init__(self, told: str) -> None:
         self.told = told
@@ -257,7 +257,7 @@ class Packed:
 
 
 def _fields(kind: type) -> Sequence[str]:
-    return getattr(kind, "_fields", None) or [each.name for each in fields(kind)]  # type: ignore[arg-type]
+    return getattr(kind, "_fields", None) or [each.name for each in fields(kind)]
 
 
 def _reached(roots: Iterable[type]) -> Iterator[type]:

@@ -1,7 +1,7 @@
 """Any tick of a log is solved again: the controller as it was before the tick, and the arguments that it was given.
 
-From the checkpoint before a tick the controller steps through at most `tape.EVERY` ticks to it. With the solver, weights
-and limits of the log every torque comes back bit for bit; with others it is the answer to the same question.
+From the checkpoint before a tick the controller steps through at most `tape.EVERY` ticks to it. With the solver,
+weights and limits of the log every torque comes back bit for bit; with others it is the answer to the same question.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Replay:
         try:
             self._read(arrays)
         except _WRONG as error:
-            raise LogError(f"{self.name}: not a log that can be replayed: {_told(error)}") from None
+            raise LogError(self.name, f"not a log that can be replayed: {_told(error)}") from None
         self._given_controller = controller
 
     def _read(self, arrays: dict[str, NDArray[Any]]) -> None:
@@ -91,7 +91,7 @@ class Replay:
         self._check(tick)
         found = self._unpack(self.given, tick, tuple)
         if len(found) != len(Arguments._fields):
-            raise LogError(f"{self.name}: tick {tick} has not the arguments of a step")
+            raise LogError(self.name, f"tick {tick} has not the arguments of a step")
         return Arguments(*found)
 
     def recorded(self, tick: int) -> Recorded:
@@ -99,7 +99,7 @@ class Replay:
         self._check(tick)
         found = self._unpack(self.answered, tick, tuple)
         if [type(each) for each in found] != [np.ndarray, Status, tuple]:
-            raise LogError(f"{self.name}: tick {tick} has no torque, status and active limits")
+            raise LogError(self.name, f"tick {tick} has no torque, status and active limits")
         return Recorded(*found)
 
     def tick_at(self, t: float) -> int:
@@ -108,7 +108,7 @@ class Replay:
         numbers = [time if isinstance(time, int | float) else np.nan for time in times]
         before = np.flatnonzero(np.array(numbers) <= t + 1e-9)
         if not before.size:
-            raise LogError(f"{self.name}: no tick at {t:g} s; expected from {numbers[0] if numbers else 0:g} s")
+            raise LogError(self.name, f"no tick at {t:g} s; expected from {numbers[0] if numbers else 0:g} s")
         return int(before[-1])
 
     # --- solved again ---
@@ -125,9 +125,9 @@ class Replay:
         spec = _spec(self.about, overrides) if self.about.get("spec") is not None else None
         made, own = self._build(spec, solver), self.controller.robot
         if (made.robot.nq, made.robot.joints) != (own.nq, own.joints):
-            raise LogError(f"{self.name}: the log is of {own.name}, with other joints than {made.robot.name}")
+            raise LogError(self.name, f"the log is of {own.name}, with other joints than {made.robot.name}")
         if [phase.name for phase in made.phases] != [phase.name for phase in self.controller.phases]:
-            raise LogError(f"{self.name}: the phases are not those of the log; expected the same ones")
+            raise LogError(self.name, f"the phases are not those of the log; expected the same ones")
         return made
 
     @property
@@ -151,53 +151,63 @@ class Replay:
         `controller.step(*arguments)` is the tick. Raises LogError.
         """
         self._check(tick)
-        controller = self._restored(bisect_right(self.checkpoints, tick) - 1)
-        for before in range(self.checkpoints[bisect_right(self.checkpoints, tick) - 1], tick):
+        begin = self.checkpoints[bisect_right(self.checkpoints, tick) - 1]
+        controller = self._restored(begin)
+        for before in range(begin, tick):
             controller.step(*self.arguments(before))
         return controller, self.arguments(tick)
 
     def each(self, first: int = 0) -> Iterator[tuple[int, Controller, Arguments]]:
         """As `at`, tick by tick from `first`; who iterates must do each step (`controller.step(*arguments)`)."""
-        number = bisect_right(self.checkpoints, first)
+        controller, begins = self.at(first)[0], set(self.checkpoints)
         for tick in range(first, len(self)):
-            due = number < len(self.checkpoints) and self.checkpoints[number] == tick
-            if tick == first:
-                controller, arguments = self.at(tick)
-            else:
-                controller = self._restored(number) if due else controller
-                arguments = self.arguments(tick)
-            number += due and tick > first
-            yield tick, controller, arguments
+            if tick in begins and tick > first:
+                self._restored(tick)
+            yield tick, controller, self.arguments(tick)
 
     def _restored(self, checkpoint: int) -> Controller:
-        memory, controller = self._unpack(self.memory, checkpoint, (Memory, type(None))), self.controller
-        controller.memory = memory
+        memory, controller = self.remembered(checkpoint), self.controller
         if memory is not None:
-            sizes = (memory.q.size, memory.v.size, memory.tau.size, memory.phase < len(controller.phases))
-            robot = controller.robot
-            if sizes != (robot.nq, robot.nv, robot.nu, True):
-                raise LogError(f"{self.name}: the memory of the log is not that of {robot.name} with these phases")
+            robot, phases = controller.robot, len(controller.phases)
+            sizes = [np.shape(each) for each in (memory.q, memory.v, memory.tau)]
+            if sizes != [(robot.nq,), (robot.nv,), (robot.nu,)] or memory.phase not in range(phases):
+                raise LogError(self.name, f"the memory of the log is not that of {robot.name} with these phases")
+        controller.memory = memory
         return controller
 
     def _build(self, spec: Spec | None, solver: str | Solver | None) -> Controller:
         if spec is None:
-            raise LogError(f"{self.name}: the log has no spec; replay it in Python, `wbc.Replay(log, controller)`")
+            raise LogError(self.name, "the log has no spec; replay it in Python, `wbc.Replay(log, controller)`")
         from .build import build
 
         return build(spec, solver=solver).controller
 
     def _check(self, tick: int) -> None:
         if not 0 <= tick < len(self):
-            raise LogError(f"{self.name}: no tick {tick}; expected one from 0 to {len(self) - 1}")
+            raise LogError(self.name, f"no tick {tick}; expected one from 0 to {len(self) - 1}")
 
     def _unpack(self, packed: Packed, i: int, kind: Any) -> Any:
         try:
             found = packed[i]
         except _WRONG as error:
-            raise LogError(f"{self.name}: cannot be replayed: {_told(error)}") from None
+            raise LogError(self.name, f"cannot be replayed: {_told(error)}") from None
         if not isinstance(found, kind):
-            raise LogError(f"{self.name}: cannot be replayed: it holds a {type(found).__name__} out of place")
+            raise LogError(self.name, f"cannot be replayed: it holds a {type(found).__name__} out of place")
         return found
+
+    @property
+    def solvable(self) -> bool:
+        """Whether there is a controller, or a spec to build one from."""
+        return self._given_controller is not None or self.about.get("spec") is not None
+
+    def remembered(self, checkpoint: int) -> Memory | None:
+        """What the controller remembered before the tick of a checkpoint. Raises LogError."""
+        found = self._unpack(self.memory, self.checkpoints.index(checkpoint), (Memory, type(None)))
+        return found if isinstance(found, Memory) else None
+
+    def kept(self, checkpoint: int) -> tuple[Structure, bytes]:
+        """The same as it was kept."""
+        return self.memory.raw(self.checkpoints.index(checkpoint))
 
     def raw(self, tick: int) -> tuple[tuple[Structure, bytes], tuple[Structure, bytes]]:
         """What a tick was given and answered, as kept: the same bits are the same tick."""
@@ -212,12 +222,14 @@ def _arrays(log: str | Path | Log | Tape) -> dict[str, NDArray[Any]]:
         path = Path(log)
         path = path / "log.npz" if path.is_dir() else path
         try:
+            if path.is_file() and not zipfile.is_zipfile(path):
+                raise ValueError("it is no npz file")
             with np.load(path, allow_pickle=False) as file:
                 found = {name: file[name] for name in file.files if name.startswith(PREFIX)}
         except _UNREADABLE as error:
-            raise LogError(f"{log}: not a log: {_told(error)}") from None
+            raise LogError(str(log), f"not a log: {_told(error)}") from None
     if not found:
-        raise LogError(f"{log if isinstance(log, str | Path) else 'log'}: no ticks to replay are recorded in it")
+        raise LogError(str(log) if isinstance(log, str | Path) else "log", "no ticks to replay are recorded in it")
     return {name.removeprefix(PREFIX): array for name, array in found.items()}
 
 

@@ -1,7 +1,7 @@
 """What it takes to solve any tick again: the arguments of every `step`, and now and then the controller's memory.
 
-A tape is what of a log makes a tick come back bit for bit. It holds numbers and JSON, never objects: to read it executes
-nothing.
+A tape is what of a log makes a tick come back bit for bit. It holds numbers and JSON, never objects: to read it
+executes nothing.
 """
 
 from __future__ import annotations
@@ -81,7 +81,14 @@ class Tape:
         return self.end(self._controller.step(t, q, v, measured, targets, tau_applied, missed))
 
     def begin(
-        self, t: Any, q: Any, v: Any, measured: Any = None, targets: Any = None, tau_applied: Any = None, missed: Any = 0
+        self,
+        t: Any,
+        q: Any,
+        v: Any,
+        measured: Any = None,
+        targets: Any = None,
+        tau_applied: Any = None,
+        missed: Any = 0,
     ) -> None:
         """Before a tick with these arguments; for who calls `Controller.step` with a clock running. Then `end`."""
         memory, tick = self._controller.memory, len(self._given)
