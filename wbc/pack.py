@@ -237,7 +237,8 @@ class Packed:
         if kind.size and not 0 <= int(kind.min()) <= int(kind.max()) < len(listed):
             raise ValueError("a value of a kind that is not listed")
         sizes = np.array([size(structure) for structure in listed], dtype=np.int64)
-        self._codec, self._listed, self._kind, self._numbers = codec, listed, kind, numbers
+        self._codec, self._listed, self._kind = codec, listed, kind
+        self._numbers = np.frombuffer(numbers.tobytes())  # float64 itself: a pickled dtype only equals it
         self._ends = np.cumsum(sizes[kind]) if kind.size else np.zeros(0, np.int64)
         if (int(self._ends[-1]) if kind.size else 0) != numbers.size:
             raise ValueError(f"{numbers.size} numbers, expected {int(self._ends[-1]) if kind.size else 0}")

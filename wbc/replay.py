@@ -127,7 +127,7 @@ class Replay:
         if (made.robot.nq, made.robot.joints) != (own.nq, own.joints):
             raise LogError(self.name, f"the log is of {own.name}, with other joints than {made.robot.name}")
         if [phase.name for phase in made.phases] != [phase.name for phase in self.controller.phases]:
-            raise LogError(self.name, f"the phases are not those of the log; expected the same ones")
+            raise LogError(self.name, "the phases are not those of the log; expected the same ones")
         return made
 
     @property
