@@ -219,6 +219,15 @@ class TestOwnLoop:
         assert status == 2
         assert "no spec" in err
 
+    def test_a_driver_that_the_spec_does_not_know(self):
+        robot = wbc.Robot.load("panda", tool="eraser", scene="board", gravity="robot")
+        spec = wbc.load("eraser")
+        controller = wbc.Controller.from_spec(spec, robot=robot)
+        tape = wbc.Tape(controller, spec)
+        for i in range(5):
+            tape.step(1e-3 * i, controller.start, np.zeros(7))
+        assert unequal(wbc.Replay(tape)) == []
+
     def test_recording_changes_no_torque(self):
         _, _, outs = self.recorded()
         built = build(wbc.load("eraser"))

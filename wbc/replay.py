@@ -238,7 +238,8 @@ def _spec(about: dict[str, Any], overrides: Sequence[str]) -> Spec:
     from .spec.source import parse
 
     source = parse(str(about["spec"]), str(about.get("file") or "spec"))
-    for text in overrides:
+    of_driver = [f"gravity={about['gravity']}"] if about.get("gravity") in ("controller", "robot") else []
+    for text in (*of_driver, *overrides):  # a robot that was loaded apart may have a driver that the spec does not know
         source = source.override(text, SECTIONS)
     return Spec.from_source(source.whole())
 
