@@ -46,6 +46,7 @@ class Codec:
     def __init__(self, *roots: type) -> None:
         self._known = {each.__name__: each for each in _reached(roots)}
         self._names = {each: name for name, each in self._known.items()}
+        self._fields = {each: () if issubclass(each, Enum) else _fields(each) for each in self._names}
 
     def pack(self, value: Any, numbers: array[float]) -> Structure:
         """The structure of a value, whose numbers are appended."""
@@ -78,7 +79,7 @@ class Codec:
         if kind in self._names:
             if isinstance(value, Enum):
                 return ("e", self._names[kind], value.name)
-            packed = [(name, self.pack(getattr(value, name), numbers)) for name in _fields(kind)]
+            packed = [(name, self.pack(getattr(value, name), numbers)) for name in self._fields[kind]]
             return ("n", self._names[kind], *packed)
         if kind is pin.SE3:
             numbers.frombytes(value.rotation.tobytes("C") + value.translation.tobytes())
