@@ -219,6 +219,16 @@ class TestOwnLoop:
         assert status == 2
         assert "no spec" in err
 
+    def test_a_safe_hold_on_ground_that_moves(self):
+        """Where the ground is now is known from the memory alone, also to a controller that was not there before."""
+        built = build(wbc.load("go2_ride"))
+        tape, v = wbc.Tape(built.controller, built.spec), np.zeros(18)
+        for i in range(130):
+            tape.step(1e-2 * i, built.q if i < 60 else np.full(19, np.nan), v)
+        controller, arguments = wbc.Replay(tape).at(125)
+        assert controller.memory.status is Status.SAFE_HOLD
+        assert wbc.Replay(tape).recorded(125).same(controller.step(*arguments))
+
     def test_a_driver_that_the_spec_does_not_know(self):
         robot = wbc.Robot.load("panda", tool="eraser", scene="board", gravity="robot")
         spec = wbc.load("eraser")
