@@ -19,7 +19,7 @@ _HOME = {
     "ComTask": "centroidal", "DistributionTask": "centroidal", "MomentumTask": "centroidal",
     "WholeBodyPosture": "centroidal", "GazeTask": "relative", "RelativeTask": "relative", "TorqueTask": "effort",
     "RoundFoot": "foot", "weighed": "dynamics",
-    "WbcError": "errors", "SpecError": "errors", "load": "spec",
+    "Replay": "replay", "Tape": "tape", "WbcError": "errors", "SpecError": "errors", "load": "spec",
 }  # fmt: skip
 _MODULES = ("analytic", "errors", "reference", "solver", "testing")
 
@@ -38,8 +38,10 @@ if TYPE_CHECKING:
     from .qp import Rows
     from .reference import Sample
     from .relative import GazeTask, RelativeTask
+    from .replay import Replay
     from .robot import Robot, State
     from .spec import load
+    from .tape import Tape
     from .task import ForceTask, MotionTask, PostureTask
     from .wrench import ForceSensor, Wrench
 

@@ -13,12 +13,12 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from . import __version__
-from .errors import Fault, SpecError, WbcError
+from .errors import Fault, LogError, SpecError, WbcError
 
 if TYPE_CHECKING:
     from .spec import Spec
@@ -166,6 +166,54 @@ def compare(specs: tuple[str, ...], solvers: str, overrides: tuple[str, ...], as
 
 
 @main.command()
+@click.argument("log", required=False)
+@click.option("--tick", type=click.IntRange(min=0), metavar="K", help="Only this tick, from 0.")
+@click.option("--at", type=float, metavar="T", help="Only the tick at this time [s].")
+@click.option("--bisect", nargs=2, metavar="A B", help="Find the first tick at which two logs part, and in what.")
+@_SOLVER
+@_SET
+@_JSON
+def replay(
+    log: str | None,
+    tick: int | None,
+    at: float | None,
+    bisect: tuple[str, str] | None,
+    solver: str | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Solve the ticks of LOG (a log.npz, or its folder) again: bit for bit, or with another solver, weight or limit."""
+    if (log is None) == (bisect is None):
+        raise click.UsageError("expected one LOG, or --bisect with two")
+    if bisect is not None:
+        if tick is not None or at is not None or solver is not None or overrides:
+            raise click.UsageError("--bisect compares two logs as they are: expected no other option but --json")
+        _bisect(*bisect, as_json)
+    if tick is not None and at is not None:
+        raise click.UsageError("--tick and --at both name a tick: expected one of them")
+    with _faults(str(log), as_json):
+        from .again import again, tell
+        from .replay import Replay
+
+        run = Replay(str(log))
+        tick = run.tick_at(at) if at is not None else tick
+        with _progress(f"replay {log}", len(run) if tick is None else 1) as progress:
+            result = again(run, tick, solver, overrides, progress)
+    _emit(result, as_json, lambda: tell(result, _console()))
+    sys.exit(0 if result["ok"] else 1)
+
+
+def _bisect(a: str, b: str, as_json: bool) -> NoReturn:
+    with _faults(f"{a}, {b}", as_json):
+        from . import part
+        from .replay import Replay
+
+        result = part.found(Replay(a), Replay(b))
+    _emit(result, as_json, lambda: part.tell(result, _console()))
+    sys.exit(0 if result["ok"] else 1)
+
+
+@main.command()
 @click.option("--json", is_flag=True, expose_value=False, help="It is one JSON object anyway.")
 def schema() -> None:
     """Print the JSON Schema of a spec, for editors."""
@@ -211,6 +259,8 @@ def _faults(spec: str, as_json: bool, more: dict[str, Any] | None = None) -> Ite
         yield
     except (WbcError, OSError) as error:
         faults = error.faults if isinstance(error, SpecError) else [Fault(spec, 0, 0, "", str(error))]
+        if isinstance(error, LogError):
+            faults = [Fault(error.file, 0, 0, "", error.message)]
         for fault in faults:
             click.echo(str(fault), err=True)
         if as_json:

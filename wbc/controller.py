@@ -154,6 +154,11 @@ class Controller:
             getattr(solver, "restart", lambda: None)()
 
     @property
+    def solver(self) -> str:
+        """The class of the solver."""
+        return type(self._solver).__name__
+
+    @property
     def _remembered(self) -> Memory:
         assert self._memory is not None
         return self._memory
@@ -412,9 +417,10 @@ class Controller:
     def _safe_hold(self, q: Array, v: Array, status: Status, reason: str) -> Output:
         """g(q) + J' F with the last certified wrenches, plus damping, at the last valid state, in limit and rate."""
         memory = self._remembered
-        phase = self._programs[memory.phase].phase
-        last, state = self.state, State(self._terms, q, v, self.state.t, self.dt)
-        state.starts, state.grounds, self.state = last.starts, last.grounds, state
+        program, t = self._programs[memory.phase], 0.0 if memory.t is None else memory.t - memory.start
+        phase = program.phase
+        state = self.state = State(self._terms, q, v, t, self.dt)
+        state.starts, state.grounds = program.named(memory.starts), _levels(phase, memory.grounds)
         hold(state, phase)
         tau = state.gravity() - HOLD_DAMPING * state.M.diagonal() * v
         for name, lam in memory.lam.items():

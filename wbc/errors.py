@@ -90,6 +90,14 @@ class SimulationError(WbcError):
         super().__init__(message)
 
 
+class LogError(WbcError):
+    """A log that cannot be read, or a tick that it does not have; `file` says which log, `message` what."""
+
+    def __init__(self, file: str, message: str) -> None:
+        self.file, self.message = file, message
+        super().__init__(f"{file}: {message}")
+
+
 class SolverError(WbcError):
     """A solver that is unknown or not installed."""
 

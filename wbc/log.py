@@ -21,6 +21,7 @@ class Log:
     def __init__(self, ticks: int, meta: Mapping[str, Any] | None = None) -> None:
         self.ticks, self.size, self.meta = ticks, 0, dict(meta or {})
         self._arrays: dict[str, Array] = {}
+        self.tape: dict[str, NDArray[Any]] = {}  # what solves its ticks again (`Tape.arrays`), stored as it is
         self.active: list[tuple[str, ...]] = []
 
     def append(self, active: tuple[str, ...], **values: Any) -> None:
@@ -66,8 +67,9 @@ class Log:
                 mask[i, names.index(name)] = True
         arrays: dict[str, Any] = {name: self[name] for name in self._arrays}
         np.savez_compressed(
-            path, meta=np.array(json.dumps(self.meta)), active_names=np.array(names, dtype=str), active=mask, **arrays
-        )
+            path, meta=np.array(json.dumps(self.meta)), active_names=np.array(names, dtype=str), active=mask,
+            **(arrays | self.tape),
+        )  # fmt: skip
 
     @classmethod
     def load(cls, path: Path) -> Log:
@@ -75,7 +77,9 @@ class Log:
         with np.load(path) as file:
             names, mask = file["active_names"].tolist(), file["active"]
             log = cls(mask.shape[0], json.loads(str(file["meta"])))
-            log._arrays = {name: file[name] for name in file.files if name not in ("meta", "active", "active_names")}
+            own = [name for name in file.files if name not in ("meta", "active", "active_names")]
+            log._arrays = {name: file[name] for name in own if "/" not in name}
+            log.tape = {name: file[name] for name in own if "/" in name}
         log.size = mask.shape[0]
         log.active = [tuple(name for name, on in zip(names, row, strict=True) if on) for row in mask]
         return log

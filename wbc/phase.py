@@ -26,7 +26,7 @@ from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .relative import GazeTask
 from .robot import Robot, State
-from .solver import Solution, Solver, answer, make
+from .solver import ProxQP, Solution, Solver, answer
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .transition import Exit
 
@@ -256,7 +256,7 @@ class Program:
         if viable:
             slack = {f"{rows.name} yield": rows.lo.size for rows in viable}
             self.yielding = Workspace(Variables(sizes | slack), [*hard, *map(_softened, viable)])
-        self._rescue = make("proxqp")  # of levels that the solver refuses
+        self._rescue = ProxQP()  # of levels that the solver refuses
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[Cost] = []
         self._torque, self._joint = self.strict.stored["torque"], self.strict.stored.get("joint")
@@ -368,6 +368,7 @@ class Program:
         levels = [
             level([(rows, w) for rows, w, at in self._costs if at == one], self.last.variables) for one in by_level
         ]
+        self._rescue.restart()  # what it answers must not depend on the ticks before
         return descend(self.last.problem, levels, solver, self._rescue)[0]
 
     def costs(self, state: State) -> list[Cost]:

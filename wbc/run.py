@@ -27,6 +27,7 @@ from .record import STATUS_NAMES, Recorder
 from .response import Bode, described, responses
 from .robot import State
 from .sim import Observation, Simulator, carrier
+from .tape import Tape
 from .task import ForceTask, MotionTask
 from .wrench import WRENCH_AXES, Wrench
 
@@ -77,22 +78,23 @@ def run(
     controller.reset(built.q, np.zeros(built.robot.nv))
     if spec.tare:
         simulator.tare(controller.state)
-    broken, began = "", time.perf_counter()
+    tape, broken, began = Tape(controller, spec), "", time.perf_counter()
     gc.freeze()  # what is built stays: the collector need not look at it every tick
     try:
         with quietly():  # what MuJoCo warns of ends the run, with the warning in the error
-            _loop(built, simulator, log, ticks, progress, hook, show)
+            _loop(built, simulator, log, tape, ticks, progress, hook, show)
     except SimulationError as error:
         broken = str(error)
     finally:
         gc.unfreeze()
+    log.tape = tape.arrays()
     notes = [*built.notes, *_deaf(built), *_validity(built, log, simulator.model)]
     summary = _summary(built, log, time.perf_counter() - began, broken, notes)
     return Result(log, summary, responses(log, built.phases) if not broken else {})
 
 
 def _loop(
-    built: Built, simulator: Simulator, log: Log, ticks: int, progress: Any, hook: Hook | None, show: Any
+    built: Built, simulator: Simulator, log: Log, tape: Tape, ticks: int, progress: Any, hook: Hook | None, show: Any
 ) -> None:
     controller = built.controller
     before: tuple[Observation, Output, State] | None = None
@@ -106,9 +108,11 @@ def _loop(
         if recorder.true and feet:
             felt = {name: simulator.sensed(recorder.true[name].F, frame) for name, frame in feet.items()}
             given = (given or {}) | felt
+        tape.begin(seen.t, seen.q, seen.v, given)
         began = time.perf_counter()
         out = controller.step(seen.t, seen.q, seen.v, measured=given)
         took = time.perf_counter() - began
+        tape.end(out)
         simulator.apply(out.tau)
         before = (seen, out, controller.state)
         recorder.record(seen.t, out, took)
