@@ -18,7 +18,7 @@ from .footing import Ground
 from .handover import Start, hand_over
 from .impedance import NEW, Felt
 from .kernels import torque
-from .ladder import GOOD_TICKS, HOLD_DAMPING, HOLD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status, decayed
+from .ladder import GOOD_TICKS, HOLD_DAMPING, HOLD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status, decayed, fewest
 from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State, Terms
@@ -119,6 +119,7 @@ class Controller:
             if to != STOP and to not in self._index:
                 raise NameNotFound("phase", to, [*self._index, STOP])
         self._memory: Memory | None = None
+        self._dropped: Program | None = None  # what answered the last tick, where contacts were dropped
         self.recalled = Memory()  # what the last tick began with, after a change of phase
         self.start = start.q  # the configuration that the tasks and contacts were built at
         self.state = start
@@ -142,6 +143,15 @@ class Controller:
         self._memory = value
         for solver in (self._solver, self._second):
             getattr(solver, "restart", lambda: None)()
+
+    @property
+    def solvers(self) -> tuple[Solver, Solver]:
+        """Of the problem as it stands, and of the one in which viability yields. Assign to have others answer."""
+        return self._solver, self._second
+
+    @solvers.setter
+    def solvers(self, value: tuple[Solver, Solver]) -> None:
+        self._solver, self._second = value
 
     @property
     def _remembered(self) -> Memory:
@@ -168,7 +178,7 @@ class Controller:
 
         An answer's torque is `product("torque", x) + state.bias`, of a floating base without the first six.
         """
-        return self._program.last
+        return (self._dropped or self._program).last
 
     def reset(self, q: Array, v: Array, tau: Array | None = None) -> None:
         """Start, or start again, at a state; `tau` is what the driver was last sent (default: what holds gravity).
@@ -223,8 +233,8 @@ class Controller:
             self.reset(q, v, tau_applied)
         memory = self._remembered
         if missed >= MISSED_STOPPED:
-            known = (memory.q, None) if fault else (q, v)
-            return self._safe_hold(*known, Status.STOPPED, f"{missed} ticks missed")
+            at, moving = (memory.q, None) if fault else (q, v)
+            return self._safe_hold(at, moving, Status.STOPPED, f"{missed} ticks missed")
         if fault:
             return self._hold(fault)
         if memory.status in _HELD:
@@ -280,14 +290,40 @@ class Controller:
         solution = program.solve(self._solver)
         if not solution.accepted and program.relax(state):
             solution = program.solve(self._second)
+        dropped: tuple[str, ...] = ()
         if not solution.accepted:
-            return self._hold(program.last.fault() or solution.reason, state)
-        return self._accept(program, state, solution, tau_last, memory, t, refused, missed)
+            reason = program.last.fault() or solution.reason
+            if (without := self._drop(program, state, memory, tau_last)) is None:
+                return self._hold(reason, state)
+            program, solution, dropped = without
+        self._dropped = program if dropped else None
+        return self._accept(program, state, solution, tau_last, memory, t, refused, missed, dropped)
 
     def _checked(self, q: Any, v: Any) -> tuple[Any, str]:
         """q with its quaternions of norm 1, and why the state is refused, or ""."""
         fault = array_fault("q", q, self.robot.nq) or array_fault("v", v, self.robot.nv)
         return (q, fault) if fault or not self.robot.unit_parts else unit(q, self.robot.unit_parts)
+
+    def _drop(
+        self, program: Program, state: State, memory: Memory, tau_last: Array
+    ) -> tuple[Program, Solution, tuple[str, ...]] | None:
+        """The tick without the contacts that cannot be held, as few of them as it takes; None where none can be."""
+        names = list(program.phase.contacts)
+        for dropped in fewest(names):
+            less = program.without(dropped, state)
+            state.contacts = {}
+            hold(state, less.phase)
+            state.starts = less.named(memory.starts)
+            if not less.assemble(state, tau_last, self.dt):
+                continue
+            solution = less.solve(self._second)
+            if not solution.accepted and less.relax(state):
+                solution = less.solve(self._second)
+            if solution.accepted:
+                return less, solution, dropped
+        state.contacts, state.starts = {}, program.named(memory.starts)
+        hold(state, program.phase)
+        return None
 
     def _enter(self, state: State, memory: Memory, change: Change, t: float, tau: Array) -> Memory:
         """Another phase begins at this tick: its contacts are held, and it is handed what goes on."""
@@ -368,7 +404,7 @@ class Controller:
 
     def _accept(
         self, program: Program, state: State, solution: Solution, tau_last: Array, memory: Memory, t: float,
-        refused: list[str], missed: int,
+        refused: list[str], missed: int, dropped: tuple[str, ...],
     ) -> Output:  # fmt: skip
         workspace, force, yielded = program.last, program.force, program.yielded
         slices = workspace.variables.slices
@@ -382,12 +418,17 @@ class Controller:
                 loops[name] = force[name][1].advance(state, lam[name])
         found = workspace.active(solution.z)
         active = program.names(solution.z, found, state, tau_last, self.dt) if found or program.pushing else ()
+        if dropped:  # they are told of as before, but carry nothing
+            active = (*(f"{name}.dropped" for name in dropped), *active)
+            hold(state, self._programs[memory.phase].phase)
         status, reason, good = Status.OK, "", memory.good + 1
         if active or refused or yielded:
             status = Status.LIMITED
             told = []
+            if dropped:
+                told = [f"{' and '.join(dropped)} dropped: not to be held within the torque limits"]
             if yielded:
-                told = [f"{program.gave_way(solution.x)} yield: nothing satisfies them within the torque limits"]
+                told += [f"{program.gave_way(solution.x)} yield: nothing satisfies them within the torque limits"]
             reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
         if missed >= MISSED_DEGRADED:
             good = 0
