@@ -293,7 +293,8 @@ class Controller:
         dropped: tuple[str, ...] = ()
         if not solution.accepted:
             reason = program.last.fault() or solution.reason
-            if (without := self._drop(program, state, memory, tau_last)) is None:
+            without = None if solution.broken else self._drop(program, state, memory, tau_last)
+            if without is None:
                 return self._hold(reason, state)
             program, solution, dropped = without
         self._dropped = program if dropped else None
@@ -428,7 +429,9 @@ class Controller:
             if dropped:
                 told = [f"{' and '.join(dropped)} dropped: not to be held within the torque limits"]
             if yielded:
-                told += [f"{program.gave_way(solution.x)} yield: nothing satisfies them within the torque limits"]
+                gave = program.gave_way(solution.x)
+                why = f"{gave} yield: nothing satisfies them within the torque limits"
+                told.append(why if gave else "nothing yields, but the first answer was refused")
             reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
         if missed >= MISSED_DEGRADED:
             good = 0

@@ -369,10 +369,10 @@ class Program:
         return _fill(self.yielding, self._summed, [*self._hard, *map(_softened, self._viable)])
 
     def gave_way(self, x: Array) -> str:
-        """What of viability yields in an answer of the yielding problem."""
+        """What of viability yields in an answer of the yielding problem, or ""."""
         slices = self.last.variables.slices
         gave = [_VIABLE[r.name] for r in self._viable if np.abs(x[slices[f"{r.name} yield"]]).max() > 1e-6]
-        return " and ".join(gave or [_VIABLE[rows.name] for rows in self._viable])
+        return " and ".join(gave)
 
     @property
     def _summed(self) -> list[Cost]:

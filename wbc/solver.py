@@ -28,13 +28,15 @@ class Solver(Protocol):
 
 
 class Solution(NamedTuple):
-    """An answer with its certificate; `accepted` is the certificate's word, never the solver's."""
+    """An answer with its certificate; `accepted` is the certificate's word, never the solver's. `broken`: the solver
+    itself failed, which says nothing of the problem (a SolverError does)."""
 
     x: Array
     z: Array
     certificate: Certificate
     accepted: bool
     reason: str = ""
+    broken: bool = False
 
 
 def answer(solver: Solver, problem: Problem, tolerance: Certificate = TOLERANCE) -> Solution:
@@ -51,7 +53,8 @@ def _attempt(solver: Solver, problem: Problem, tolerance: Certificate) -> Soluti
     try:
         found = solver.solve(problem)
     except Exception as error:  # a foreign object must not take the loop down
-        return _refused(f"the solver raised {type(error).__name__}: {error}")
+        said = f"the solver raised {type(error).__name__}: {error}"
+        return _refused(said, broken=not isinstance(error, SolverError))
     try:
         x, z = found
         certificate = certify(problem, x, z)
@@ -67,8 +70,8 @@ def _attempt(solver: Solver, problem: Problem, tolerance: Certificate) -> Soluti
     return Solution(x, z, certificate, False, reason)
 
 
-def _refused(reason: str) -> Solution:
-    return Solution(np.zeros(0), np.zeros(0), UNCERTIFIED, False, reason)
+def _refused(reason: str, broken: bool = False) -> Solution:
+    return Solution(np.zeros(0), np.zeros(0), UNCERTIFIED, False, reason, broken)
 
 
 def _restart(solver: Any) -> bool:
