@@ -33,7 +33,7 @@ class FaultPlan:
         self._rng, self._dt = np.random.default_rng((seed, 0xFA)), dt
         self.now: dict[str, PlannedFault] = {}
         self._since: dict[str, float] = {}
-        self._t = 0.0
+        self._t, self.late = 0.0, False
         self.missed = 0  # ticks in a row, so far
         self._resume = -1
 

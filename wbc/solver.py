@@ -19,6 +19,7 @@ from .qp import UNCERTIFIED, Array, Certificate, Problem, certify
 
 DEFAULT = "daqp"  # the README tells the measurement behind this choice
 TOLERANCE = Certificate(primal=1e-6, dual=1e-6, gap=1e-6)
+_RAISED = "the solver raised "
 
 
 class Solver(Protocol):
@@ -28,15 +29,18 @@ class Solver(Protocol):
 
 
 class Solution(NamedTuple):
-    """An answer with its certificate; `accepted` is the certificate's word, never the solver's. `broken`: the solver
-    itself failed, which says nothing of the problem (a SolverError does)."""
+    """An answer with its certificate; `accepted` is the certificate's word, never the solver's."""
 
     x: Array
     z: Array
     certificate: Certificate
     accepted: bool
     reason: str = ""
-    broken: bool = False
+
+    @property
+    def broken(self) -> bool:
+        """Whether the solver itself failed, which says nothing of the problem (a SolverError does)."""
+        return self.reason.startswith(_RAISED) and not self.reason.startswith(f"{_RAISED}{SolverError.__name__}")
 
 
 def answer(solver: Solver, problem: Problem, tolerance: Certificate = TOLERANCE) -> Solution:
@@ -53,8 +57,7 @@ def _attempt(solver: Solver, problem: Problem, tolerance: Certificate) -> Soluti
     try:
         found = solver.solve(problem)
     except Exception as error:  # a foreign object must not take the loop down
-        said = f"the solver raised {type(error).__name__}: {error}"
-        return _refused(said, broken=not isinstance(error, SolverError))
+        return _refused(f"{_RAISED}{type(error).__name__}: {error}")
     try:
         x, z = found
         certificate = certify(problem, x, z)
@@ -70,8 +73,8 @@ def _attempt(solver: Solver, problem: Problem, tolerance: Certificate) -> Soluti
     return Solution(x, z, certificate, False, reason)
 
 
-def _refused(reason: str, broken: bool = False) -> Solution:
-    return Solution(np.zeros(0), np.zeros(0), UNCERTIFIED, False, reason, broken)
+def _refused(reason: str) -> Solution:
+    return Solution(np.zeros(0), np.zeros(0), UNCERTIFIED, False, reason)
 
 
 def _restart(solver: Any) -> bool:
