@@ -93,7 +93,7 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
     _check_metrics(spec, phases, faults)
     faults.check()
     with faults.at("law"):
-        controller = Controller(robot, solver=solver, rate=spec.rate, phases=phases, q=q)
+        controller = Controller(robot, solver=solver, rate=spec.rate, phases=phases, q=q, brakes=spec.brakes)
     faults.check()
     poles = list(dict.fromkeys(pole for each in made for pole in each.poles))
     margins = {name: margin for each in made for name, margin in each.margins.items()}

@@ -65,6 +65,13 @@ def main() -> None:
 @_HIERARCHY
 @_SET
 @click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="TEXT",
+    help='What fails on purpose, as in plant.faults: "sensor.dropout at 1.2 for 0.1"; may be repeated.',
+)
+@click.option(
     "--out",
     type=click.Path(path_type=Path),
     metavar="DIR",
@@ -79,12 +86,13 @@ def run(
     solver: str | None,
     hierarchy: str | None,
     overrides: tuple[str, ...],
+    faults: tuple[str, ...],
     out: Path | None,
     as_json: bool,
 ) -> None:
     """Simulate SPEC (a shipped name or a file) and hold it against its bounds."""
     with _faults(spec, as_json):
-        loaded = _load(spec, overrides, solver, duration, hierarchy)
+        loaded = _with_faults(_load(spec, overrides, solver, duration, hierarchy), faults)
         from .build import build
         from .run import run as simulate
 
@@ -250,6 +258,23 @@ def _load(
     own = {"solver": solver, "duration": None if duration is None else repr(duration), "hierarchy": hierarchy}
     given = (*overrides, *(f"{key}={value}" for key, value in own.items() if value is not None))
     return load(spec, given, click.get_current_context().meta.get(_OUTSIDE, False))
+
+
+def _with_faults(loaded: Spec, faults: tuple[str, ...]) -> Spec:
+    """The spec with more that fails on purpose."""
+    if not faults:
+        return loaded
+    from .spec.fault import planned
+
+    wrong = []
+    for text in faults:
+        try:
+            planned(text)
+        except ValueError as error:
+            wrong.append(Fault("--fault", 0, 0, "", str(error)))
+    if wrong:
+        raise SpecError(wrong)
+    return loaded.with_set({"plant.faults": [*loaded.plant.faults, *faults]})
 
 
 @contextmanager

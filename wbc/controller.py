@@ -8,46 +8,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .contact import Contact
-from .errors import NameNotFound, StateError, did_you_mean
+from .errors import NameNotFound, StateError, WbcError, did_you_mean
 from .footing import Ground
 from .handover import Start, hand_over
 from .impedance import NEW, Felt
 from .kernels import torque
+from .ladder import GOOD_TICKS, HOLD_DAMPING, HOLD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status, decayed, fewest
 from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State, Terms
 from .solver import DEFAULT, Solution, Solver, make
 from .task import ForceLoop
 from .transition import STOP, Change, Watch
+from .valid import array_fault, missed_fault, time_fault, unit
 from .whole_body import WholeBodyProgram
 from .wrench import Wrench
 
 __all__ = ["Controller", "Memory", "Output", "Phase", "Status"]
 
-_FLOAT64 = np.dtype(np.float64)
 _NEW_LOOP = ForceLoop()
 _NONE: Mapping[str, Any] = {}  # never written to
 _NEW_WATCH = Watch()
-HOLD_TICKS = 5  # ticks without a certified answer before the safe hold
-GOOD_TICKS = 10  # certified ticks in a row until the status is OK again
-MISSED_DEGRADED, MISSED_STOPPED = 3, 20
-HOLD_DAMPING = 10.0  # [1/s] times M_ii, in the safe hold
-
-
-class Status(Enum):
-    """How good a tick's torque is; the ladder goes down on its own and up from SAFE_HOLD only by `reset`."""
-
-    OK = "OK"  # certified, nothing yielded
-    LIMITED = "LIMITED"  # certified, and something named yielded
-    DEGRADED = "DEGRADED"  # no certified answer: the last torque is held
-    SAFE_HOLD = "SAFE_HOLD"  # gravity, the last contact wrenches and damping
-    STOPPED = "STOPPED"  # as SAFE_HOLD, after too many missed ticks
+_HELD = (Status.SAFE_HOLD, Status.STOPPED)
 
 
 class Output(NamedTuple):
@@ -85,6 +72,7 @@ class Memory(NamedTuple):
     why: str = ""  # the last change of phase, or the stop
     felt: Mapping[str, Felt] = _NONE  # what tasks know of a push
     grounds: Mapping[str, Ground] = _NONE  # where feet that measure their force have found the floor
+    stale: int = 0  # ticks in a row whose time did not go on
 
 
 class Controller:
@@ -93,7 +81,8 @@ class Controller:
     Parameters: the robot; `contacts` name -> Contact; `tasks` name -> Task, or (Task, weight); `limits` with the keys
     `torque`, `torque_rate`, `position`, `velocity`, `acceleration` (a number or (nu,), "model", or None) and
     `self_collision` (a distance [m], or a mapping: `SelfCollision`); `solver`: a
-    name or an object with `solve(problem)`; `rate` [Hz]. `from_spec` makes one from YAML. Everything wrong with these
+    name or an object with `solve(problem)`; `rate` [Hz]; `brakes`: whether the robot has some that hold it
+    without torque, once it is STOPPED. `from_spec` makes one from YAML. Everything wrong with these
     raises here, a WbcError that says what; nothing raises later.
     """
 
@@ -108,8 +97,9 @@ class Controller:
         phases: Sequence[Phase] | None = None,
         q: Array | None = None,
         hierarchy: str = "weighted",
+        brakes: bool = False,
     ) -> None:
-        self.robot, self.dt = robot, 1.0 / rate
+        self.robot, self.dt, self.brakes = robot, 1.0 / rate, brakes
         self._terms = Terms(robot)
         self._solver = make(solver)
         # the yielding problem has another shape: a solver of its own keeps both warm
@@ -129,6 +119,7 @@ class Controller:
             if to != STOP and to not in self._index:
                 raise NameNotFound("phase", to, [*self._index, STOP])
         self._memory: Memory | None = None
+        self._dropped: Program | None = None  # what answered the last tick, where contacts were dropped
         self.recalled = Memory()  # what the last tick began with, after a change of phase
         self.start = start.q  # the configuration that the tasks and contacts were built at
         self.state = start
@@ -159,6 +150,15 @@ class Controller:
         return type(self._solver).__name__
 
     @property
+    def solvers(self) -> tuple[Solver, Solver]:
+        """Of the problem as it stands, and of the one in which viability yields. Assign to have others answer."""
+        return self._solver, self._second
+
+    @solvers.setter
+    def solvers(self, value: tuple[Solver, Solver]) -> None:
+        self._solver, self._second = value
+
+    @property
     def _remembered(self) -> Memory:
         assert self._memory is not None
         return self._memory
@@ -183,7 +183,7 @@ class Controller:
 
         An answer's torque is `product("torque", x) + state.bias`, of a floating base without the first six.
         """
-        return self._program.last
+        return (self._dropped or self._program).last
 
     def reset(self, q: Array, v: Array, tau: Array | None = None) -> None:
         """Start, or start again, at a state; `tau` is what the driver was last sent (default: what holds gravity).
@@ -191,16 +191,16 @@ class Controller:
         The first torque then differs from `tau` by no more than the rate limit allows. The only way out of a safe hold.
         Raises StateError.
         """
-        for name, value, size in (("q", q, self.robot.nq), ("v", v, self.robot.nv)):
-            if fault := _fault(name, value, size):
-                raise StateError(fault)
+        q, fault = self._checked(q, v)
+        if fault:
+            raise StateError(fault)
         q, v = np.array(q, float), np.array(v, float)
         state = State(self._terms, q, v)
         gravity = state.gravity()[self.robot.base :]
         if tau is None:
             total = self._programs[0].rest(state)
         else:
-            if fault := _fault("tau", tau, self.robot.nu):
+            if fault := array_fault("tau", tau, self.robot.nu):
                 raise StateError(fault)
             total = np.array(tau, float) + (gravity if self.robot.gravity == "robot" else 0.0)
         self.memory = Memory(tau=self._programs[0].phase.torque.inside(total), gravity=gravity, q=q, v=v)
@@ -228,25 +228,36 @@ class Controller:
             return self._hold(f"{type(error).__name__}: {error}")
 
     def _step(self, t: Any, q: Any, v: Any, measured: Any, targets: Any, tau_applied: Any, missed: int) -> Output:
-        fault = _fault("q", q, self.robot.nq) or _fault("v", v, self.robot.nv) or _fault_time(t)
+        q, fault = self._checked(q, v)
+        fault = fault or time_fault(t)
+        unread = missed_fault(missed)
+        missed = 0 if unread else missed
         if self._memory is None:
             if fault:
                 return self._hold(fault)
             self.reset(q, v, tau_applied)
         memory = self._remembered
+        if missed >= MISSED_STOPPED:
+            at, moving = (memory.q, None) if fault else (q, v)
+            return self._safe_hold(at, moving, Status.STOPPED, f"{missed} ticks missed")
         if fault:
             return self._hold(fault)
-        if memory.status in (Status.SAFE_HOLD, Status.STOPPED) or missed >= MISSED_STOPPED:
-            stopped = missed >= MISSED_STOPPED or memory.status is Status.STOPPED
-            return self._safe_hold(
-                q, v, Status.STOPPED if stopped else Status.SAFE_HOLD, f"{missed} ticks missed" if missed else ""
-            )
+        if memory.status in _HELD:
+            return self._safe_hold(q, v, memory.status)
         dt = self.dt
         if memory.t is None:
             memory = memory._replace(start=t, phase_start=t)
         else:
             past, most = t - memory.t, 2.0 * dt
             dt = 0.0 if past < 0.0 else past if past < most else most
+            if past <= 0.0:  # no new tick, as far as the caller's clock goes, which does not run backwards
+                t, stale = memory.t, memory.stale + 1
+                if stale >= MISSED_STOPPED:
+                    why = f"stale: the time has not gone on from {t:g} s for {stale} ticks"
+                    return self._safe_hold(q, v, Status.STOPPED, why)
+                memory = memory._replace(stale=stale)
+            elif memory.stale:
+                memory = memory._replace(stale=0)
         program = self._programs[memory.phase]
         state = self.state = State(self._terms, q, v, t - memory.start, dt)
         state.starts = program.named(memory.starts)
@@ -254,9 +265,11 @@ class Controller:
             state.grounds = _levels(program.phase, memory.grounds)
         hold(state, program.phase)
         refused = self._read(state, memory, measured, targets)
+        if unread:
+            refused.append(unread)
         tau_last = memory.tau
         if tau_applied is not None:
-            if fault := _fault("tau_applied", tau_applied, self.robot.nu):
+            if fault := array_fault("tau_applied", tau_applied, self.robot.nu):
                 refused.append(fault)
             else:
                 tau_last = tau_applied + memory.gravity if self.robot.gravity == "robot" else tau_applied
@@ -278,13 +291,45 @@ class Controller:
         if program.phase.compliant:
             memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
         if not program.assemble(state, tau_last, self.dt):
-            return self._hold(program.last.fault())
+            return self._hold(program.last.fault(), state)
         solution = program.solve(self._solver)
         if not solution.accepted and program.relax(state):
             solution = program.solve(self._second)
+        dropped: tuple[str, ...] = ()
         if not solution.accepted:
-            return self._hold(program.last.fault() or solution.reason)
-        return self._accept(program, state, solution, tau_last, memory, t, refused, missed)
+            reason = program.last.fault() or solution.reason
+            without = None if solution.broken else self._drop(program, state, memory, tau_last)
+            if without is None:
+                return self._hold(reason, state)
+            program, solution, dropped = without
+        self._dropped = program if dropped else None
+        return self._accept(program, state, solution, tau_last, memory, t, refused, missed, dropped)
+
+    def _checked(self, q: Any, v: Any) -> tuple[Any, str]:
+        """q with its quaternions of norm 1, and why the state is refused, or ""."""
+        fault = array_fault("q", q, self.robot.nq) or array_fault("v", v, self.robot.nv)
+        return (q, fault) if fault or not self.robot.unit_parts else unit(q, self.robot.unit_parts)
+
+    def _drop(
+        self, program: Program, state: State, memory: Memory, tau_last: Array
+    ) -> tuple[Program, Solution, tuple[str, ...]] | None:
+        """The tick without the contacts that cannot be held, as few of them as it takes; None where none can be."""
+        names = list(program.phase.contacts)
+        for dropped in fewest(names):
+            less = program.without(dropped, state)
+            state.contacts = {}
+            hold(state, less.phase)
+            state.starts = less.named(memory.starts)
+            if not less.assemble(state, tau_last, self.dt):
+                continue
+            solution = less.solve(self._second)
+            if not solution.accepted and less.relax(state):
+                solution = less.solve(self._second)
+            if solution.accepted:
+                return less, solution, dropped
+        state.contacts, state.starts = {}, program.named(memory.starts)
+        hold(state, program.phase)
+        return None
 
     def _enter(self, state: State, memory: Memory, change: Change, t: float, tau: Array) -> Memory:
         """Another phase begins at this tick: its contacts are held, and it is handed what goes on."""
@@ -315,21 +360,23 @@ class Controller:
         """Wrenches and targets of this tick; what is refused is said, and the old value kept."""
         refused: list[str] = []
         loops = memory.loops
-        for name, wrench in (measured or {}).items():
+        for what, given in (("measured", measured), ("targets", targets)):
+            if given is not None and not isinstance(given, Mapping):
+                refused.append(f"{what}: expected a mapping by name, got {type(given).__name__}")
+        for name, wrench in measured.items() if isinstance(measured, Mapping) else ():
             frame = self._feeling.get(name)
             if frame is None:
                 known = did_you_mean(name, self._feeling)  # tasks that feel a wrench themselves among them
                 refused.append(f"measured: no contact named {name!r}{known}")
                 continue
-            F = wrench.at(state, frame) if isinstance(wrench, Wrench) else None
-            if F is None or not math.isfinite(F.dot(F)):
-                got = type(wrench).__name__ if F is None else F
-                refused.append(f"measured.{name}: expected a finite Wrench, got {got}; the last one stands")
+            F, fault = _at(wrench, state, frame)
+            if fault:
+                refused.append(f"measured.{name}: expected a finite Wrench, got {fault}; the last one stands")
                 F = loops[name].filtered if name in loops else memory.felt.get(name, NEW).F
             if F is not None:
                 state.measured[name] = F
         state.targets = memory.targets  # type: ignore[assignment]
-        if targets:
+        if targets and isinstance(targets, Mapping):
             state.targets = dict(memory.targets)
             refused += self._retarget(state, targets)
         return refused
@@ -363,7 +410,7 @@ class Controller:
 
     def _accept(
         self, program: Program, state: State, solution: Solution, tau_last: Array, memory: Memory, t: float,
-        refused: list[str], missed: int,
+        refused: list[str], missed: int, dropped: tuple[str, ...],
     ) -> Output:  # fmt: skip
         workspace, force, yielded = program.last, program.force, program.yielded
         slices = workspace.variables.slices
@@ -377,17 +424,28 @@ class Controller:
                 loops[name] = force[name][1].advance(state, lam[name])
         found = workspace.active(solution.z)
         active = program.names(solution.z, found, state, tau_last, self.dt) if found or program.pushing else ()
+        if dropped:  # they are told of as before, but carry nothing
+            active = (*(f"{name}.dropped" for name in dropped), *active)
+            hold(state, self._programs[memory.phase].phase)
         status, reason, good = Status.OK, "", memory.good + 1
         if active or refused or yielded:
             status = Status.LIMITED
             told = []
+            if dropped:
+                told = [f"{' and '.join(dropped)} dropped: not to be held within the torque limits"]
             if yielded:
-                told = [f"{program.gave_way(solution.x)} yield: nothing satisfies them within the torque limits"]
+                gave = program.gave_way(solution.x)
+                why = f"{gave} yield: nothing satisfies them within the torque limits"
+                told.append(why if gave else "nothing yields, but the first answer was refused")
             reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
-        if good < GOOD_TICKS or missed >= MISSED_DEGRADED:
+        if missed >= MISSED_DEGRADED:
+            good = 0
+        if good < GOOD_TICKS:
             status = Status.DEGRADED
             reason = reason or (
-                f"{missed} ticks missed" if missed else f"recovering: {good} of {GOOD_TICKS} good ticks"
+                f"{missed} ticks missed"
+                if missed >= MISSED_DEGRADED
+                else f"recovering: {good} of {GOOD_TICKS} good ticks"
             )
         grounds = _found(state, program.phase, memory.grounds, wrenches) if program.phase.standing else _NONE
         by_robot = self.robot.gravity == "robot"
@@ -395,60 +453,86 @@ class Controller:
         self._memory = Memory(
             t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
             state.targets, status, 0, good, memory.starts, memory.watch, memory.why, memory.felt, grounds,
+            memory.stale,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)
 
     # --- without a certified answer ---
 
-    def _hold(self, reason: str) -> Output:
-        """The last torque, for a few ticks; then the safe hold."""
+    def _hold(self, reason: str, state: State | None = None) -> Output:
+        """The last torque, of which all but the load decays, for a few ticks; then the safe hold. `state`: of this
+        tick, where it is valid."""
         memory = self._memory
         if memory is None:  # nothing is known of the robot yet, so nothing is asked of it
             nothing, still = np.zeros(self.robot.nu), np.zeros(self.robot.nv)
             return Output(nothing, still, {}, (), Status.DEGRADED, f"not started: {reason}", UNCERTIFIED)
+        q, v = (memory.q, None) if state is None else (state.q, state.v)
         bad = memory.bad + 1
-        if memory.status in (Status.SAFE_HOLD, Status.STOPPED) or bad > HOLD_TICKS:
-            status = Status.STOPPED if memory.status is Status.STOPPED else Status.SAFE_HOLD
-            return self._safe_hold(memory.q, memory.v, status, reason)
+        if memory.status in _HELD or bad > HOLD_TICKS:
+            return self._safe_hold(q, v, memory.status if memory.status in _HELD else Status.SAFE_HOLD, reason)
+        load, _, gravity = self._load(q, v)
         self._memory = memory._replace(status=Status.DEGRADED, bad=bad, good=0)
-        return self._held_output(memory.tau, Status.DEGRADED, reason)
+        return self._held_output(decayed(memory.tau, load, bad), gravity, q, v, reason)
 
-    def _safe_hold(self, q: Array, v: Array, status: Status, reason: str) -> Output:
-        """g(q) + J' F with the last certified wrenches, plus damping, at the last valid state, in limit and rate."""
-        memory = self._remembered
+    def _safe_hold(self, q: Array, v: Array | None, status: Status, reason: str = "") -> Output:
+        """g(q) + J' F with the last certified wrenches, plus damping, in limit and rate; `v` None: not known now.
+
+        A velocity of the past damps nothing: it would push on until the robot runs the other way.
+        """
+        load, inertia, gravity = self._load(q, v)
+        tau = load
+        if status is Status.STOPPED and self.brakes:
+            tau = gravity if self.robot.gravity == "robot" else np.zeros(load.size)
+        elif v is not None:
+            tau = load - HOLD_DAMPING * inertia * v[self.robot.base :]
+        self._memory = self._remembered._replace(status=status, good=0)
+        return self._held_output(tau, gravity, q, v, reason or self._remembered.why or "held until reset")
+
+    def _load(self, q: Array, v: Array | None) -> tuple[Array, Array, Array]:
+        """(nu,) each: the torque that carries the weight and the last certified wrenches at q, the diagonal of M there,
+        and g(q)."""
+        memory, base = self._remembered, self.robot.base
         program, t = self._programs[memory.phase], 0.0 if memory.t is None else memory.t - memory.start
-        phase = program.phase
-        state = self.state = State(self._terms, q, v, t, self.dt)
-        state.starts, state.grounds = program.named(memory.starts), _levels(phase, memory.grounds)
-        hold(state, phase)
-        tau = state.gravity() - HOLD_DAMPING * state.M.diagonal() * v
-        for name, lam in memory.lam.items():
-            if name in state.contacts:
-                tau = tau + state.contacts[name].push.T @ lam
-        low, high = phase.torque.bounds(memory.tau, self.dt)
-        base = self.robot.base
-        tau = np.clip(tau[base:], low, high)
-        self._memory = memory._replace(
-            tau=tau, gravity=state.gravity()[base:], q=np.array(q), v=np.array(v), status=status, good=0
-        )
-        return self._held_output(tau, status, reason or memory.why or "held until reset")
+        state = self.state = State(self._terms, q, memory.v if v is None else v, t, self.dt)
+        state.starts, state.grounds = program.named(memory.starts), _levels(program.phase, memory.grounds)
+        state.targets = memory.targets  # type: ignore[assignment]
+        state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
+        tau = gravity = state.gravity()
+        try:
+            hold(state, program.phase)
+            if memory.t is None:  # no wrench has been certified yet
+                return program.rest(state), state.M.diagonal()[base:].copy(), gravity[base:].copy()
+            for name, lam in memory.lam.items():
+                if name in state.contacts:
+                    tau = tau + state.contacts[name].push.T @ lam
+        except Exception:  # a contact of one's own that fails where it did not before
+            return memory.tau, state.M.diagonal()[base:].copy(), gravity[base:].copy()
+        return tau[base:], state.M.diagonal()[base:].copy(), gravity[base:].copy()
 
-    def _held_output(self, tau: Array, status: Status, reason: str) -> Output:
+    def _held_output(self, tau: Array, gravity: Array, q: Array, v: Array | None, reason: str) -> Output:
+        """A torque that no answer stands behind, led into the limits and their rate."""
         memory = self._remembered
-        sent = tau - memory.gravity if self.robot.gravity == "robot" else tau.copy()
-        return Output(sent, np.zeros(self.robot.nv), {}, (), status, reason, UNCERTIFIED)
+        limit = self._programs[memory.phase].phase.torque
+        low, high = limit.bounds(memory.tau, self.dt)
+        tau = np.minimum(np.maximum(np.where(np.isfinite(tau), tau, memory.tau), low), high)
+        v = memory.v if v is None else v.copy()
+        self._memory = memory._replace(tau=tau, gravity=gravity, q=q.copy(), v=v)
+        sent = tau - gravity if self.robot.gravity == "robot" else tau.copy()
+        return Output(sent, np.zeros(self.robot.nv), {}, (), memory.status, reason, UNCERTIFIED)
 
 
-def _fault(name: str, value: Any, size: int) -> str:
-    """Why an array from outside is refused, or ""."""
-    if type(value) is not np.ndarray or value.dtype is not _FLOAT64 or value.shape != (size,):
-        got = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-        return f"{name}: expected a float64 array of shape ({size},), got {got}"
-    # a sum of squares is finite only where every entry is
-    if not math.isfinite(value.dot(value)):
-        return f"{name}: expected finite numbers, got {value}"
-    return ""
+def _at(wrench: Any, state: State, frame: str) -> tuple[Array | None, str]:
+    """(6,) a measured wrench at a frame, or why it is refused."""
+    if not isinstance(wrench, Wrench):
+        return None, type(wrench).__name__
+    if fault := array_fault("F", wrench.F, 6):
+        return None, f"one whose {fault}"
+    try:
+        F = wrench.at(state, frame)
+    except (WbcError, TypeError) as error:
+        return None, str(error)
+    return (F, "") if math.isfinite(F.dot(F)) else (None, str(F))
 
 
 def _found(
@@ -474,7 +558,3 @@ def _levels(phase: Phase, grounds: Mapping[str, Ground]) -> dict[Any, float]:
 
 def _told(phase: Phase, change: Change) -> str:
     return f"{phase.name}: {change.why}" if phase.name else change.why
-
-
-def _fault_time(t: Any) -> str:
-    return "" if isinstance(t, (int, float)) and math.isfinite(t) else f"t: expected a finite time [s], got {t!r}"

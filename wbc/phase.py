@@ -25,7 +25,7 @@ from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .relative import GazeTask
-from .robot import Robot, State
+from .robot import Robot, State, Terms
 from .solver import ProxQP, Solution, Solver, answer
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .transition import Exit
@@ -92,6 +92,16 @@ class Phase:
         """What a measured wrench may be given for, and the frame at which it is wanted: contacts, and tasks without."""
         tasks = {n: t.frame for n, t in self.compliant.items() if t.contact is None and t.source == "measured"}
         return {name: contact.frame for name, contact in self.contacts.items()} | tasks
+
+    def without(self, dropped: Sequence[str]) -> Phase:
+        """The same without some contacts, and without the tasks that are about them."""
+
+        def about(task: Any) -> bool:
+            named = (getattr(task, "contact", None), *getattr(task, "shares", ()), *getattr(task, "press", ()))
+            return any(name in dropped for name in named)
+
+        contacts = {name: contact for name, contact in self.contacts.items() if name not in dropped}
+        return replace(self, contacts=contacts, tasks={n: task for n, task in self.tasks.items() if not about(task)})
 
     @cached_property
     def gravity_only(self) -> bool:
@@ -256,6 +266,7 @@ class Program:
         if viable:
             slack = {f"{rows.name} yield": rows.lo.size for rows in viable}
             self.yielding = Workspace(Variables(sizes | slack), [*hard, *map(_softened, viable)])
+        self._without: dict[tuple[str, ...], Program] = {}
         self._rescue = ProxQP()  # of levels that the solver refuses
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[Cost] = []
@@ -289,6 +300,14 @@ class Program:
         self._costs = self.costs(state)
         self.last = self.strict
         return _fill(self.strict, self._summed)
+
+    def without(self, dropped: tuple[str, ...], state: State) -> Program:
+        """The program of the same phase without some contacts, and without what is asked of them."""
+        if dropped not in self._without:
+            start = State(Terms(state.robot), state.q.copy(), state.v.copy())
+            phase = settle_posture(self.phase.without(dropped), start, [])
+            self._without[dropped] = type(self)(phase, start)
+        return self._without[dropped]
 
     def _contact_rows(self, state: State) -> list[Rows]:
         """The constraints of the contacts, with the names of their rows."""
@@ -350,10 +369,10 @@ class Program:
         return _fill(self.yielding, self._summed, [*self._hard, *map(_softened, self._viable)])
 
     def gave_way(self, x: Array) -> str:
-        """What of viability yields in an answer of the yielding problem."""
+        """What of viability yields in an answer of the yielding problem, or ""."""
         slices = self.last.variables.slices
         gave = [_VIABLE[r.name] for r in self._viable if np.abs(x[slices[f"{r.name} yield"]]).max() > 1e-6]
-        return " and ".join(gave or [_VIABLE[rows.name] for rows in self._viable])
+        return " and ".join(gave)
 
     @property
     def _summed(self) -> list[Cost]:

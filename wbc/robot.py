@@ -291,6 +291,16 @@ class Robot:
         return bool(self.base) and all(1 in self.model.supports[i] for i in range(1, self.model.njoints))
 
     @cached_property
+    def unit_parts(self) -> tuple[slice, ...]:
+        """Where in q unit vectors stand: quaternions, and (cos, sin) of joints that turn without end."""
+        parts = []
+        for joint in list(self.model.joints)[1:]:
+            if joint.nq > joint.nv:
+                stop = joint.idx_q + joint.nq  # they come last
+                parts.append(slice(stop - (4 if joint.nv in (3, 6) else 2), stop))
+        return tuple(parts)
+
+    @cached_property
     def mounts(self) -> Mounts:
         """Where its frames sit, by Pinocchio's index."""
         return mounts(self.model)

@@ -17,6 +17,7 @@ from . import material
 from .build import Built
 from .controller import Controller, Output
 from .errors import SimulationError
+from .fault import FaultPlan
 from .feeling import unfelt
 from .impedance import Compliance
 from .log import Log
@@ -78,15 +79,21 @@ def run(
     controller.reset(built.q, np.zeros(built.robot.nv))
     if spec.tare:
         simulator.tare(controller.state)
-    tape, broken, began = Tape(controller, spec), "", time.perf_counter()
+    tape = Tape(controller, spec)
+    plan = FaultPlan(spec.plant.faults, dt, seed) if spec.plant.faults else None
+    if plan is not None:
+        plan.spoil(controller)
+    broken, began = "", time.perf_counter()
     gc.freeze()  # what is built stays: the collector need not look at it every tick
     try:
         with quietly():  # what MuJoCo warns of ends the run, with the warning in the error
-            _loop(built, simulator, log, tape, ticks, progress, hook, show)
+            _loop(built, simulator, log, tape, ticks, progress, hook, show, plan)
     except SimulationError as error:
         broken = str(error)
     finally:
         gc.unfreeze()
+        if plan is not None:
+            plan.mend(controller)
     log.tape = tape.arrays()
     notes = [*built.notes, *_deaf(built), *_validity(built, log, simulator.model)]
     summary = _summary(built, log, time.perf_counter() - began, broken, notes)
@@ -94,25 +101,34 @@ def run(
 
 
 def _loop(
-    built: Built, simulator: Simulator, log: Log, tape: Tape, ticks: int, progress: Any, hook: Hook | None, show: Any
-) -> None:
+    built: Built, simulator: Simulator, log: Log, tape: Tape, ticks: int, progress: Any, hook: Hook | None, show: Any,
+    plan: FaultPlan | None,
+) -> None:  # fmt: skip
     controller = built.controller
     before: tuple[Observation, Output, State] | None = None
     deaf = unfelt(built.robot, built.phases)
     feeling = [name for phase in built.phases for name in phase.feeling if name not in deaf]
     feet, recorder = _sensitive(built.phases), Recorder(built, simulator, log)
     for tick in range(ticks):
+        if plan is not None:
+            plan.begin(tick, simulator)
         seen = simulator.observe()
         measured = _measured(simulator, controller, before, seen)
         given = dict.fromkeys(feeling, measured) if measured is not None else None
         if recorder.true and feet:
             felt = {name: simulator.sensed(recorder.true[name].F, frame) for name, frame in feet.items()}
             given = (given or {}) | felt
-        tape.begin(seen.t, seen.q, seen.v, given)
-        began = time.perf_counter()
-        out = controller.step(seen.t, seen.q, seen.v, measured=given)
-        took = time.perf_counter() - began
-        tape.end(out)
+        if plan is not None and plan.late and before is not None:
+            out, took = before[1], 0.0  # the motors go on with what they have
+        else:
+            shown, missed = seen, 0
+            if plan is not None:
+                shown, given, missed = plan.seen(seen, built.robot), plan.measured(given), plan.told()
+            tape.begin(*shown, given, missed=missed)
+            began = time.perf_counter()
+            out = controller.step(*shown, measured=given, missed=missed)
+            took = time.perf_counter() - began
+            tape.end(out)
         simulator.apply(out.tau)
         before = (seen, out, controller.state)
         recorder.record(seen.t, out, took)
@@ -161,7 +177,7 @@ def _meta(built: Built, seed: int) -> dict[str, Any]:
              if isinstance(t, MotionTask | Compliance)}
         ),
         "pushed": {name: list(task.axes) for phase in built.phases for name, task in phase.compliant.items()},
-        "phases": [phase.name for phase in built.phases], "changes": [],
+        "phases": [phase.name for phase in built.phases], "changes": [], "faults": list(built.spec.plant.faults),
         **described(built.spec.plant),
     }  # fmt: skip
 

@@ -63,6 +63,7 @@ class Simulator:
         self._noise = plant.noise if plant is not None else None
         self._rng = np.random.default_rng(seed)
         self.encoders = Encoders(robot.model, self._noise, dt, self._rng) if self._noise is not None else None
+        self._time = 0.0  # of the last observation [s]
         self._delayed: deque[Array] = deque(maxlen=(plant.delay if plant is not None else 0) + 1)
         sensed = all(_has_sensor(self.model, name) for name in SENSORS)
         self._sensor = ForceSensor(robot) if sensed else None
@@ -83,6 +84,10 @@ class Simulator:
         self._outside.move()
         mujoco.mj_step1(self.model, self.data)
         self._truth.forget()
+        if self.data.time < self._time:  # MuJoCo itself starts again where a state is not finite
+            grown = self.data.warning.number.nonzero()[0]
+            self._break_down(self._warning(int(grown[0])) if grown.size else "it was reset", self._time + self.dt)
+        self._time = self.data.time
         self.true_state = self._coordinates.read(self.data)
         measured = self.true_state if self.encoders is None else self.encoders.read(*self.true_state)
         return Observation(self.data.time, *measured)
@@ -107,7 +112,21 @@ class Simulator:
         grown = self.data.warning.number.nonzero()[0]
         if grown.size or not np.isfinite(self.data.qacc).all():
             why = self._warning(int(grown[0])) if grown.size else "an acceleration that is not finite"
-            raise SimulationError(f"the simulation broke down at t = {self.data.time:.3f} s ({why})", self.data.time)
+            # a state that is not finite has MuJoCo start again, its clock too
+            self._break_down(why, max(self.data.time, self._time))
+
+    @staticmethod
+    def _break_down(why: str, t: float) -> None:
+        raise SimulationError(f"the simulation broke down at t = {t:.3f} s ({why})", t)
+
+    def spoil(self, joint: int) -> None:
+        """A fault on purpose: the position of the robot's joint of that number is not a number."""
+        dof = self._coordinates.qvel[self.robot.base + joint]
+        self.data.qpos[self.model.jnt_qposadr[self.model.dof_jntid[dof]]] = np.nan
+
+    def restart(self) -> None:
+        """A fault on purpose: everything starts again, the clock too."""
+        mujoco.mj_resetData(self.model, self.data)
 
     def _warning(self, kind: int) -> str:
         text = mujoco.mju_warningText(kind, self.data.warning[kind].lastinfo)

@@ -19,6 +19,7 @@ from .qp import UNCERTIFIED, Array, Certificate, Problem, certify
 
 DEFAULT = "daqp"  # the README tells the measurement behind this choice
 TOLERANCE = Certificate(primal=1e-6, dual=1e-6, gap=1e-6)
+_RAISED = "the solver raised "
 
 
 class Solver(Protocol):
@@ -36,6 +37,11 @@ class Solution(NamedTuple):
     accepted: bool
     reason: str = ""
 
+    @property
+    def broken(self) -> bool:
+        """Whether the solver itself failed, which says nothing of the problem (a SolverError does)."""
+        return self.reason.startswith(_RAISED) and not self.reason.startswith(f"{_RAISED}{SolverError.__name__}")
+
 
 def answer(solver: Solver, problem: Problem, tolerance: Certificate = TOLERANCE) -> Solution:
     """Solve and certify; a solver that can restart gets one more chance, from cold. Never raises."""
@@ -51,7 +57,7 @@ def _attempt(solver: Solver, problem: Problem, tolerance: Certificate) -> Soluti
     try:
         found = solver.solve(problem)
     except Exception as error:  # a foreign object must not take the loop down
-        return _refused(f"the solver raised {type(error).__name__}: {error}")
+        return _refused(f"{_RAISED}{type(error).__name__}: {error}")
     try:
         x, z = found
         certificate = certify(problem, x, z)

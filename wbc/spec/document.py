@@ -49,6 +49,9 @@ class Spec(Model):
     )
     gravity: Gravity = Field(default="controller", description="who adds the torque against gravity")
     start: Pose | None = Field(default=None, description="keyframe or joint positions to start from [rad]; else home")
+    brakes: Annotated[bool, Strict()] = Field(
+        default=False, description="the robot has brakes that hold it: once stopped, its motors let go"
+    )
     tare: Annotated[bool, Strict()] = Field(
         default=False, description="what the wrist sensor reads at the start counts as nothing"
     )

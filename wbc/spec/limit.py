@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, Strict, Tag
 
+from .fault import FaultText
 from .fields import ANumber, Model, Name, NonNegative, Number, Positive, Text, either, shape
 from .push import Bias, Move, Push
 from .source import Message
@@ -101,6 +102,9 @@ class Plant(Model):
     pushes: dict[Name, Push] = Field(default={}, max_length=50, description="wrenches on the robot, by name")
     moves: dict[Text, Move] = Field(default={}, max_length=50, description="how mocap bodies of the scene are moved")
 
+    faults: tuple[FaultText, ...] = Field(
+        default=(), max_length=100, description="what fails on purpose, such as `sensor.dropout at 1.2 for 0.1` [s]"
+    )
     paths: dict[Text, Name] = Field(
         default={},
         max_length=50,
