@@ -4,7 +4,7 @@ With d = x - x*, r = H x + g + G'z, G = [I; C], the conditions at both give
 
     d'H d <= d'r + sum of gaps + (|z| + |z*|) . violations,      E d = E x - e for the equalities,
 
-so d = Z w + E^+ (E x - e), and the first line bounds w in the metric of Z'H Z, definite where there is one answer. Where
+so d = Z w + E^+ (E x - e), and the first line bounds w in the metric of Z'H Z, definite where the answer is one. Where
 weights lie far apart that metric is flat in some direction, and residuals that any solver leaves move the torque: this
 says by how much.
 """

@@ -136,7 +136,7 @@ def load(file: str | Path = FILE) -> list[Recorded]:
     Raises ProblemError for a file that is none; it holds numbers and JSON alone, and no code is read from it.
     """
     try:
-        with np.load(file, allow_pickle=False) as arrays:
+        with Path(file).open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             meta = json.loads(arrays["meta"].tobytes())
             found: dict[int, Recorded] = {}
             for number, (shape, members) in enumerate(zip(meta["shapes"], meta["order"], strict=True)):
@@ -144,7 +144,7 @@ def load(file: str | Path = FILE) -> list[Recorded]:
                 for column, i in enumerate(members):
                     spec, kind, active = meta["told"][i]
                     found[i] = _item(flat[:, column], shape, float(arrays["t"][i]), spec, tuple(active), kind)
-    except (OSError, zipfile.BadZipFile, KeyError, ValueError, TypeError, IndexError) as error:
+    except (OSError, EOFError, zipfile.BadZipFile, KeyError, ValueError, TypeError, IndexError) as error:
         raise ProblemError(f"{file}: not a file of recorded problems: {error}") from None
     return [found[i] for i in sorted(found)]
 

@@ -178,7 +178,7 @@ class _Tally:
         if not accepted and self._fate[i] != "wrong":
             self._fate[i] = "wrong" if asked.claimed else "refused"
         error = known.error(x)
-        if asked.claimed:
+        if asked.claimed or accepted:
             self._residual.append(float(np.max(certificate)))
             if known.tau is not None:
                 self._tau_error[i].append(error)
