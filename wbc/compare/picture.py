@@ -31,7 +31,6 @@ def picture(result: Mapping[str, Any], path: Path) -> None:
     _accuracy(axes[1], result, styles)
     _growth(axes[2], result, styles)
     for ax in axes:
-        ax.title.set(size=11, color=INK)
         ax.tick_params(labelsize=9, colors=MUTED)
     handles, labels = axes[0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="lower center", ncols=7, fontsize=9, labelcolor=INK, edgecolor="none")
@@ -56,7 +55,7 @@ def _profiles(ax: Axes, result: Mapping[str, Any], styles: Mapping[str, Any]) ->
     for name, row in result["solvers"].items():
         ax.step(result["ratios"], row["profile"], where="post", label=name, linewidth=1.8, **styles[name])
     ax.set(xscale="log", xlabel="time over that of the fastest solver", ylim=(-0.02, 1.02), xlim=(1, None))
-    ax.set_title("share of the feasible programs solved within that", loc="left")
+    ax.set_title("share of the feasible programs solved within that", loc="left", size=10)
     ax.grid(alpha=0.3)
 
 
@@ -74,7 +73,7 @@ def _accuracy(ax: Axes, result: Mapping[str, Any], styles: Mapping[str, Any]) ->
             ax.plot([us, us], [max(certified or every, EXACT), every], linewidth=0.8, color=colour, linestyle=":")
     ax.axhline(1e-6, color="#7b8794", linewidth=0.8)
     ax.set(xscale="log", yscale="log", xlabel="median time [us]")
-    ax.set_title("worst torque error [N m]: certified (o), all that was answered (x)", loc="left")
+    ax.set_title("worst torque error [N m]: certified (o), all that was answered (x)", loc="left", size=10)
     ax.grid(alpha=0.3)
     ax.margins(0.12)
 
@@ -83,7 +82,7 @@ def _growth(ax: Axes, result: Mapping[str, Any], styles: Mapping[str, Any]) -> N
     for name, row in result["solvers"].items():
         ax.plot(list(map(int, row["growth"])), list(row["growth"].values()), marker=".", **styles[name])
     ax.set(xscale="log", yscale="log", xlabel="unknowns")
-    ax.set_title("median time [us] by size", loc="left")
+    ax.set_title("median time of feasible programs [us] by size", loc="left", size=10)
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter("{x:g}")
     ax.grid(alpha=0.3)
