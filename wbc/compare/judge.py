@@ -65,8 +65,8 @@ def compare(
     `accepted_wrong`, problems with a certified answer that is wrong (`ok`: no solver has any): of a problem that is
     infeasible, or farther from the best one than 1e-6 N m and all that its residuals leave open (`bound.Bound`);
     `tolerance` [N m], what they allowed at the worst error; `kinds`, the fates of each kind of problem; `growth`,
-    the median [us] of feasible ones by number of unknowns; `profile`, the share of feasible problems that it solves within each of
-    `ratios` times the time of the fastest (Dolan and More, 2002).
+    the median [us] of feasible ones by number of unknowns; `profile`, the share of feasible problems that it solves
+    within each of `ratios` times the time of the fastest (Dolan and More, 2002).
 
     Raises ProblemError without problems, SolverError without solvers and for one that does not exist.
     """
