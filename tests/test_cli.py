@@ -186,6 +186,19 @@ def test_verify_and_compare() -> None:
     assert all(figures <= set(found) for found in table["solvers"].values())
 
 
+def test_compare_records_to_a_file_and_reads_it(tmp_path: Path) -> None:
+    file, short = tmp_path / "met.npz", ("--set", "duration=0.02")
+    told = said("compare", "planar", *short, "--record", file)
+    assert told["bytes"] == file.stat().st_size
+    found = said("compare", file, "--solvers", "daqp,daqp (plain),osqp (default)", "--out", tmp_path / "out")
+    assert found["problems"] == told["problems"] > 0
+    assert found["ok"]
+    assert set(found["solvers"]) == {"daqp", "daqp (plain)", "osqp (default)"}
+    assert json.loads((tmp_path / "out" / "compare.json").read_text()) == found
+    assert (tmp_path / "out" / "compare.png").stat().st_size > 10_000
+    assert "expected a SPEC to change" in said("compare", *short, status=2)["faults"][0]["message"]
+
+
 def test_schema() -> None:
     code, out, _ = wbc("schema", "--json")
     assert code == 0

@@ -26,7 +26,7 @@ def recorded():
 
 @pytest.fixture(scope="module")
 def result(recorded):
-    return compare(recorded[::4], passes=2)
+    return compare(recorded[::4], installed(), passes=2)
 
 
 class Changed:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
+from contextlib import redirect_stdout
+from io import StringIO
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -92,12 +94,13 @@ class Daqp:
     Every call starts from the empty active set, so that an answer is bit for bit a function of its problem. That
     costs nothing on an arm's problems; the storage is what is worth keeping (a new model takes twice the time).
     Whether the empty set is the answer already is found without DAQP, which would first transform every row: most ticks
-    have no limit active, and then it is a third of the work.
+    have no limit active, and then it is a third of the work. `first=False` leaves that out: DAQP alone, for comparing.
     """
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, first: bool = True, **settings: Any) -> None:
         import daqp  # here, not in the first tick
 
+        self._first = first
         self._Model = daqp.Model
         # equality reduction chooses by the history of the model: off
         self._settings = {"primal_tol": 1e-9, "iter_limit": 1000, "eq_reduction": -1} | settings
@@ -107,9 +110,11 @@ class Daqp:
         self._sense: Any = None
 
     def solve(self, problem: Problem) -> tuple[Array, Array]:
-        x, z = np.empty(problem.g.size), np.empty(problem.lo.size)
-        if minimum(problem.stack, problem.g, problem.lo, problem.hi, problem.n_eq, self._settings["primal_tol"], x, z):
-            return x, z
+        if self._first:
+            x, z = np.empty(problem.g.size), np.empty(problem.lo.size)
+            tol = self._settings["primal_tol"]
+            if minimum(problem.stack, problem.g, problem.lo, problem.hi, problem.n_eq, tol, x, z):
+                return x, z
         if problem is self._problem:  # the model reads the arrays where they stand: H alone says that all are new
             flag = self._model.update(problem.H, None, None, None, None, self._sense)
         elif (problem.g.size, problem.lo.size, problem.n_eq) != self._shape:
@@ -150,6 +155,7 @@ class ProxQP:
 
     `warm`, `cold`: most outer and inner iterations. Warm answers depend on the past within the tolerance (measured:
     1e-9 of the torque); an accepted one need not have reached `eps_abs`, which lies near the rounding of some problems.
+    So every answer is handed over; `claims` says whether ProxQP itself called the last one solved.
     """
 
     _BIG = 1e20
@@ -161,6 +167,7 @@ class ProxQP:
         self._QP = proxqp.dense.QP
         self._guess = {True: guess.WARM_START_WITH_PREVIOUS_RESULT, False: guess.EQUALITY_CONSTRAINED_INITIAL_GUESS}
         self._eps, self._caps = eps_abs, {True: warm, False: cold}
+        self._solved, self.claims = proxqp.QPSolverOutput.PROXQP_SOLVED, False
         self._qp: Any = None
         self._shape: tuple[int, int, int] | None = None
 
@@ -179,6 +186,7 @@ class ProxQP:
         (qp.update if warm else qp.init)(H, g, C[:n_eq], lo[n:first], C[n_eq:], lo[first:], hi[first:], lo[:n], hi[:n])
         qp.solve()
         results = qp.results
+        self.claims = results.info.status == self._solved
         x, z, rows = np.array(results.x), np.empty(n + m), np.array(results.z)
         z[:n], z[n:first], z[first:] = rows[m - n_eq :], results.y, rows[: m - n_eq]
         return x, _held(z, problem)
@@ -208,46 +216,55 @@ _TUNED: dict[str, dict[str, Any]] = {
 class QpSolvers:
     """Any backend of `qpsolvers`, by its name: for comparing; it rebuilds the problem in every call.
 
-    `settings` are the backend's own, on top of those that it needs for a certified answer.
+    `settings` are the backend's own, on top of those that it needs for a certified answer; not `tuned`, these are left
+    to its defaults.
     """
 
-    def __init__(self, name: str, **settings: Any) -> None:
+    def __init__(self, name: str, tuned: bool = True, **settings: Any) -> None:
         import qpsolvers
 
         if name not in qpsolvers.available_solvers:
             raise SolverError(f"no solver named {name!r}{did_you_mean(name, installed())}")
-        self._solve, self._problem = qpsolvers.solve_problem, qpsolvers.Problem
-        self._name, self._settings = name, _TUNED.get(name, {}) | settings
+        self._solve = qpsolvers.solve_problem
+        self._name, self._settings = name, (_TUNED.get(name, {}) if tuned else {}) | settings
 
     def solve(self, problem: Problem) -> tuple[Array, Array]:
-        H, g, C, lo, hi, n_eq, stack = problem
-        if not (np.isfinite(stack).all() and np.isfinite(g).all() and (lo <= hi).all()):
+        if not (np.isfinite(problem.stack).all() and np.isfinite(problem.g).all() and (problem.lo <= problem.hi).all()):
             raise SolverError("not solved: a coefficient is not finite, or bounds cross")  # some backends never return
-        n = g.size
-        first = n + n_eq
-        up, down = np.isfinite(hi[first:]), np.isfinite(lo[first:])
-        rows, box = up.any() or down.any(), np.isfinite(lo[:n]).any() or np.isfinite(hi[:n]).any()
-        given = self._problem(
-            H, g,
-            np.concatenate((C[n_eq:][up], -C[n_eq:][down])) if rows else None,
-            np.concatenate((hi[first:][up], -lo[first:][down])) if rows else None,
-            C[:n_eq] if n_eq else None, hi[n:first] if n_eq else None,
-            lo[:n] if box else None, hi[:n] if box else None,
-        )  # fmt: skip
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), redirect_stdout(StringIO()):  # OSQP prints what it did not polish
             warnings.simplefilter("ignore")  # of sparse copies, and of failures, which raise here
-            solution = self._solve(given, solver=self._name, **self._settings)
+            solution = self._solve(as_qpsolvers(problem), solver=self._name, **self._settings)
         if not solution.found or solution.x is None:
             raise SolverError(f"{self._name}: no solution found")
-        z = np.zeros(lo.size)
-        if box and solution.z_box is not None and solution.z_box.size:
+        n = problem.g.size
+        first, z = n + problem.n_eq, np.zeros(problem.lo.size)
+        up, down = np.isfinite(problem.hi[first:]), np.isfinite(problem.lo[first:])
+        if solution.z_box is not None and solution.z_box.size:
             z[:n] = solution.z_box
-        if n_eq:
+        if problem.n_eq:
             z[n:first] = solution.y
-        if rows and solution.z is not None:
+        if (up.any() or down.any()) and solution.z is not None:
             z[first:][up] += solution.z[: up.sum()]
             z[first:][down] -= solution.z[up.sum() :]
         return np.asarray(solution.x, float), _held(z, problem)
+
+
+def as_qpsolvers(problem: Problem) -> Any:
+    """The same as a `qpsolvers.Problem`; G has the rows with an upper bound, then minus those with a lower one."""
+    import qpsolvers
+
+    H, g, C, lo, hi, n_eq, _ = problem
+    n = g.size
+    first = n + n_eq
+    up, down = np.isfinite(hi[first:]), np.isfinite(lo[first:])
+    rows, box = up.any() or down.any(), np.isfinite(lo[:n]).any() or np.isfinite(hi[:n]).any()
+    return qpsolvers.Problem(
+        H, g,
+        np.concatenate((C[n_eq:][up], -C[n_eq:][down])) if rows else None,
+        np.concatenate((hi[first:][up], -lo[first:][down])) if rows else None,
+        C[:n_eq] if n_eq else None, hi[n:first] if n_eq else None,
+        lo[:n] if box else None, hi[:n] if box else None,
+    )  # fmt: skip
 
 
 def _held(z: Array, problem: Problem) -> Array:
@@ -259,6 +276,7 @@ def _held(z: Array, problem: Problem) -> Array:
 def make(solver: str | Solver) -> Solver:
     """A solver from its name, or the object itself when it has `solve(problem)`.
 
+    For comparing, `NAME (default)` is that backend of qpsolvers with its own settings, `daqp (plain)` DAQP alone.
     Raises SolverError when the name is unknown or the object has no `solve`.
     """
     if isinstance(solver, type):
@@ -269,9 +287,17 @@ def make(solver: str | Solver) -> Solver:
         return solver
     if solver == "daqp":
         return Daqp()
+    if solver == "daqp (plain)":
+        return Daqp(first=False)
     if solver == "proxqp":
         return ProxQP()
-    return QpSolvers(solver)
+    name, _, default = solver.partition(" (default)")
+    return QpSolvers(name, tuned=False) if " (default)" in solver and not default else QpSolvers(solver)
+
+
+def tuned() -> list[str]:
+    """Names of installed solvers that `make` gives other settings than their own."""
+    return [name for name in installed() if name in ("daqp", "proxqp") or name in _TUNED]
 
 
 def installed() -> list[str]:
