@@ -25,14 +25,14 @@ CONTRADICTED = 1e-6  # of equalities, relative to 1 + their right hand side
 NOTHING = 1e-9  # a row whose norm is less, relative to what it was, does not depend on what is left free
 SOFT = 1e-6  # of violations against distance, where all rows may give way
 PULLS = (1e-6, 1e-4, 1e-2)  # towards the last iterate, where one name gives way: the next where one has no answer
-SETTLED = 1e-9
+SETTLED = 1e-8
 STEPS = 30
 _SOFT_ROW = 8  # DAQP's flag
 
 
 class Member(NamedTuple):
-    """A name of a conflict. `upper`: the side on which it conflicts. `needs`: by how much its rows must give way, in
-    their unit, for the others to hold. `frees`: whether all constraints, not the conflict alone, then hold."""
+    """A name of a conflict. `upper`: the side on which it conflicts. `frees`: whether all other constraints, not those
+    of the conflict alone, hold without it; `needs`: by how much its rows must then give way, in their unit."""
 
     name: str
     row: int  # the row with the largest share in the conflict
@@ -52,21 +52,19 @@ class System:
         at = C @ x
         self.C, self.lo, self.hi, self._size = C @ Z, lo - at, hi - at, np.linalg.norm(C, axis=1)
         self.names = tuple(dict.fromkeys(names))
-        each = np.array(names)
-        self._of = {name: each == name for name in self.names}
+        numbers = {name: i for i, name in enumerate(self.names)}
+        self._number = np.array([numbers[name] for name in names], np.intp)
+        self._of = {name: self._number == i for name, i in numbers.items()}
+        # equalities -> C of what solves them, C of what they leave free, and which rows that moves
+        self._solved: dict[bytes, tuple[Array, Array, Mask]] = {}
 
     def rows(self, names: Sequence[str]) -> Mask:
         """(m,) the rows of some names."""
-        on = np.zeros(self.lo.size, bool)
-        for name in names:
-            on |= self._of[name]
-        return on
+        return np.logical_or.reduce([np.zeros(self.lo.size, bool), *(self._of[name] for name in names)])
 
-    def feasible(self, names: Sequence[str], room: Array | None = None) -> bool:
-        """Whether some x satisfies the rows of these names, each with `room` (m,) more on either side."""
-        on = self.rows(names)
-        lo, hi = (self.lo, self.hi) if room is None else (self.lo - room, self.hi + room)
-        reduced = self._reduced(on, lo, hi)
+    def feasible(self, names: Sequence[str]) -> bool:
+        """Whether some x satisfies the rows of these names."""
+        reduced = self._reduced(self.rows(names))
         return reduced is not None and _nearest(*reduced) is not None
 
     def conflict(self, among: Sequence[str] | None = None) -> tuple[str, ...]:
@@ -84,19 +82,16 @@ class System:
                 left = rest
         return tuple(sorted(left, key=lambda each: -share[each]))
 
-    def members(self, names: Sequence[str]) -> list[Member]:
-        """What is to be told of every name of a conflict."""
+    def members(self, names: Sequence[str], among: Sequence[str]) -> list[Member]:
+        """What is to be told of every name of a conflict, those first that stand in every conflict `among` names."""
         y = self._multipliers(self.rows(names))
         found = []
         for name in names:
             own = np.flatnonzero(self._of[name])
             row = int(own[np.argmax(np.abs(y[own]))])
-            needs = self.relaxation(name, self.names)
-            frees = needs is not None
-            if needs is None:
-                needs = self.relaxation(name, names)
-            found.append(Member(name, row, bool(y[row] > 0.0), np.inf if needs is None else needs, frees))
-        return found
+            needs = self.relaxation(name, among)
+            found.append(Member(name, row, bool(y[row] > 0.0), np.inf if needs is None else needs, needs is not None))
+        return sorted(found, key=lambda each: not each.frees)
 
     def relaxation(self, name: str, names: Sequence[str]) -> float | None:
         """By how much the rows of one name must give way for those of the others to hold; None where they never do.
@@ -104,7 +99,7 @@ class System:
         min t over z: that alone decides neither; a pull towards the last z vanishes as it converges.
         """
         others, own = self.rows([each for each in names if each != name]), self._of[name]
-        reduced = self._reduced(others, self.lo, self.hi, own)
+        reduced = self._reduced(others, own)
         if reduced is None or _nearest(*reduced[:3]) is None:
             return None
         C, lo, hi, B, low, high = reduced
@@ -116,20 +111,22 @@ class System:
         least = np.concatenate((lo, np.full(len(give), -np.inf), [0.0]))
         return next((t for pull in PULLS if (t := _least(d, rows, least, most, pull)) is not None), None)
 
-    def _reduced(self, on: Mask, lo: Array, hi: Array, more: Mask | None = None) -> Any:
+    def _reduced(self, on: Mask, more: Mask | None = None) -> Any:
         """Rows and bounds of the inequalities among some rows, with the equalities among them solved for, and the same
         of `more` rows, whatever they are; None where equalities contradict one another, or bounds cross."""
+        lo, hi = self.lo, self.hi
         if not (lo[on] <= hi[on]).all():
             return None
-        equal, rest = on & (lo == hi), on & (lo != hi)
-        C, size = self.C, self._size
-        if equal.any():
+        equal, rest, C = on & (lo == hi), on & (lo != hi), self.C
+        key = equal.tobytes()
+        if key not in self._solved:
             x, N = shortest(C[equal], lo[equal])
-            if (np.abs(C[equal] @ x - lo[equal]) > CONTRADICTED * (1.0 + np.abs(lo[equal]))).any():
-                return None
-            at, C = C @ x, C @ N
-            lo, hi = lo - at, hi - at
-        free = np.linalg.norm(C, axis=1) > NOTHING * size
+            left = C @ N
+            self._solved[key] = C @ x, left, np.linalg.norm(left, axis=1) > NOTHING * self._size
+        at, C, free = self._solved[key]
+        if (np.abs(at - lo)[equal] > CONTRADICTED * (1.0 + np.abs(lo[equal]))).any():
+            return None
+        lo, hi = lo - at, hi - at
         fixed = rest & ~free
         slack = CONTRADICTED * (1.0 + np.where(np.isfinite(lo), np.abs(lo), 0.0))
         if (lo[fixed] > slack[fixed]).any() or (hi[fixed] < -slack[fixed]).any():
@@ -142,7 +139,9 @@ class System:
         """Largest share of any row of each name in the least violation of all; what rounding leaves is zero."""
         y = np.abs(self._multipliers(self.rows(names))) * self._size
         y[y < 1e-7 * y.max(initial=0.0)] = 0.0
-        return {name: float(y[self._of[name]].max()) for name in names}
+        most = np.zeros(len(self.names))
+        np.maximum.at(most, self._number, y)
+        return dict(zip(self.names, most.tolist(), strict=True))
 
     def _multipliers(self, on: Mask) -> Array:
         """(m,) multipliers of the rows when all of them may give way; positive at an upper bound."""

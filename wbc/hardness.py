@@ -17,8 +17,8 @@ MORE = 2  # further conflicts that are named
 
 
 class Culprit(NamedTuple):
-    """A constraint of a conflict: `side` ("least", "most" or "exactly") and its `bound` in `unit`; `needs`: by how much
-    it must give way, alone, in its unit, `frees`: whether the whole tick then has an answer, not this conflict alone.
+    """A constraint of a conflict: `side` ("least", "most" or "exactly") and its `bound` in `unit`. `frees`: whether the
+    whole tick has an answer without it; then `needs` is by how much it must give way, alone, in its unit (else inf).
 
     Of joint limits the bound is that of the acceleration which keeps them; `told` says at which position and speed.
     """
@@ -65,18 +65,18 @@ class Hard:
     def conflict(self) -> tuple[tuple[Culprit, ...], tuple[tuple[str, ...], ...]]:
         """A conflict, and the names of others; first of what never yields, for there is no answer then."""
         system = self.system
-        stiff = [name for name in system.names if name not in self.yielding]
-        names = system.conflict(stiff) or system.conflict()
-        members = system.members(names)
-        left = set(system.names)
-        others = list[tuple[str, ...]]()
-        stuck = next((each.name for each in members if not each.frees), None)
-        while stuck is not None and len(others) < MORE:
-            left.discard(stuck)
-            more = system.conflict([name for name in system.names if name in left])
-            if more:
+        yielding = self.yielding
+        among = [name for name in system.names if name not in yielding]
+        names = system.conflict(among)
+        if not names:
+            among = list(system.names)
+            names = system.conflict(among)
+        members, others = system.members(names, among), list[tuple[str, ...]]()
+        if members and not any(each.frees for each in members):
+            left = [name for name in system.names if name != names[0]]
+            while len(others) < MORE and (more := system.conflict(left)):
                 others.append(more)
-            stuck = more[0] if more else None
+                left.remove(more[0])
         return tuple(self._culprit(*each) for each in members), tuple(others)
 
     def _culprit(self, name: str, number: int, upper: bool, needs: float, frees: bool) -> Culprit:
@@ -124,7 +124,10 @@ class Hard:
     def _torques(self) -> list[_Row]:
         """The torque itself and, apart from it, its rate."""
         program, limit, C = self._tick.program, self._tick.program.phase.torque, self._block("torque")
-        bias, found = program.window[0] - self._workspace.stored["torque"].lo, list[_Row]()
+        rows, found = self._workspace.stored["torque"], list[_Row]()
+        with np.errstate(invalid="ignore"):  # of limits that bind nothing
+            sides = np.array([program.window[0] - rows.lo, program.window[1] - rows.hi, np.zeros(rows.lo.size)])
+        bias = sides[np.argmax(np.isfinite(sides), axis=0), np.arange(rows.lo.size)]
         for i, joint in enumerate(limit.joints):
             found.append(_Row(f"torque[{joint}]", "N m", C[i], limit.low[i] - bias[i], limit.high[i] - bias[i], bias[i]))
             if np.isfinite(limit.rate[i]):
