@@ -13,7 +13,6 @@ P = I - G' (G M^-1 G')^-1 G M^-1.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
