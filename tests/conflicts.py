@@ -141,7 +141,6 @@ class Scene:
         return kind(q_min, q_max, v_max, np.full(n, brake), np.full(n, 1e5), robot.joints, a_max)
 
 
-
 def _narrow(limits, j, tau, width):
     """The torque of one joint held within `width` of a value."""
     low, high, rate, past, joint = limits
@@ -155,7 +154,7 @@ def _at_speed(scene, rng):
     """A state, and a joint of some speed in it."""
     robot = scene.robot
     q, v = scene.state(rng)
-    j = int(rng.choice(np.flatnonzero(np.abs(v[robot.base :]) > 0.05)))
+    j = int(rng.choice(np.flatnonzero(np.abs(v[robot.base :]) > 0.2 * np.abs(v[robot.base :]).max())))
     return q, v * max(1.0, rng.uniform(0.3, 2.0) / abs(v[robot.base + j])), j
 
 
@@ -163,7 +162,9 @@ def _braked(scene, rng, what):
     """A joint that must brake for its position or speed, against its torque or the rate of it."""
     robot, (q, v, j) = scene.robot, _at_speed(scene, rng)
     limit = "velocity" if what == "velocity" else "position"
-    edge = scene.edge(q, v, j, 10 ** rng.uniform(1.5, 3.5), 0.5 * abs(v[robot.base + j]) if limit == "velocity" else FREE)
+    edge = scene.edge(
+        q, v, j, 10 ** rng.uniform(1.5, 3.5), 0.5 * abs(v[robot.base + j]) if limit == "velocity" else FREE
+    )
     wide, name = scene.torques(q, v), robot.joints[j]
     width = rng.uniform(0.01, 0.2) * robot.tau_max[j]
 

@@ -54,7 +54,9 @@ def test_what_a_name_needs_is_the_least_that_frees_all(seed):
 
 def test_dynamics_are_never_named():
     """x = y always, x <= 0 and y >= 1: the two bounds, each with the side on which it conflicts."""
-    made = system(np.eye(2), np.array([-5.0, 1.0]), np.array([0.0, 9.0]), ["x", "y"], np.array([[1.0, -1.0]]), np.zeros(1))
+    made = system(
+        np.eye(2), np.array([-5.0, 1.0]), np.array([0.0, 9.0]), ["x", "y"], np.array([[1.0, -1.0]]), np.zeros(1)
+    )
     found = made.members(made.conflict(), made.names)
     assert {each.name: each.upper for each in found} == {"x": True, "y": False}
     assert [each.needs for each in found] == pytest.approx([1.0, 1.0], abs=1e-6)

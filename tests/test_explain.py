@@ -54,7 +54,7 @@ def _faults(seed):
     first = [each for each in told.conflict if each.frees]
     for culprit in made.culprits:
         freeing = [each.name for each in first]
-        if not culprit.startswith("*") and not culprit.endswith(".") and not matches(culprit, freeing):
+        if not culprit.startswith("*") and not culprit.endswith(".") and culprit not in freeing:
             faults.append(f"{culprit} alone frees the tick, which is not said")
     for each in first:
         if not _holds(hard, {row.name for row in hard.rows} - {each.name}, E, e):
@@ -81,10 +81,8 @@ def test_known_culprits_are_named_and_every_set_is_minimal():
 @pytest.fixture(scope="module")
 def eraser():
     """A tick of eraser without an active limit."""
-    controller = build(load("eraser")).controller
-    built = build(load("eraser", ("duration=0.5",)))
+    built = build(load("eraser", ("duration=0.3",)))
     run(built)
-    del controller
     return built.controller
 
 
@@ -141,7 +139,7 @@ def test_a_task_that_has_its_way_pulls_at_nothing_and_one_that_has_not_says_what
         np.testing.assert_allclose(pull.torque, tick.state.contacts["board"].G.T @ lacking, atol=1e-9)
 
 
-def test_what_the_regulariser_decides(go2):
+def test_what_the_regulariser_decides():
     """Four feet carry what three would: six internal forces are left to the sharing."""
     built = build(load("go2_stand", ("duration=0.02",)))
     run(built)

@@ -23,7 +23,6 @@ from .analytic import dynamically_consistent_inverse, force_projector, task_bias
 from .controller import Controller, Tick
 from .dynamics import inertia, mobility
 from .hardness import Culprit, Hard
-from .phase import LAST
 from .pull import Pull, Regulariser, decided, pulls
 from .qp import Array
 
@@ -109,8 +108,11 @@ def _active(tick: Tick, dt: float) -> tuple[Active, ...]:
         name = program.name(program.last.labels[i], bool(z[i] > 0.0), tick.state, tick.tau_last, dt)
         kind = name.partition("[")[0]
         force = kind in ("torque", "torque_rate") or "[" not in name
-        found.append(Active(name, abs(float(z[i])), "rad/s^2" if force and "[" in name else "m/s^2" if force else "N m"))
-    return tuple(sorted(found, key=lambda each: -each.multiplier))
+        found.append(
+            Active(name, abs(float(z[i])), "rad/s^2" if force and "[" in name else "m/s^2" if force else "N m")
+        )
+    found.sort(key=lambda each: -each.multiplier)
+    return tuple({each.name: each for each in reversed(found)}.values())[::-1]  # of several rows the largest
 
 
 def _split(tick: Tick, tau: Array, given: Array) -> dict[str, Array]:

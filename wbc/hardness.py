@@ -129,7 +129,9 @@ class Hard:
             sides = np.array([program.window[0] - rows.lo, program.window[1] - rows.hi, np.zeros(rows.lo.size)])
         bias = sides[np.argmax(np.isfinite(sides), axis=0), np.arange(rows.lo.size)]
         for i, joint in enumerate(limit.joints):
-            found.append(_Row(f"torque[{joint}]", "N m", C[i], limit.low[i] - bias[i], limit.high[i] - bias[i], bias[i]))
+            found.append(
+                _Row(f"torque[{joint}]", "N m", C[i], limit.low[i] - bias[i], limit.high[i] - bias[i], bias[i])
+            )
             if np.isfinite(limit.rate[i]):
                 past, step = self._tick.tau_last[i] - bias[i], limit.rate[i] * self._dt
                 more = (-past, 1.0 / self._dt)

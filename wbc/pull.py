@@ -79,6 +79,9 @@ def pulls(tick: Tick) -> tuple[Pull, ...]:
             x = tick.solution.x[slices[variable]]
             got = got + (x if A is None else A.dot(x))
         residual = np.where(got < lo, lo - got, np.where(got > hi, hi - got, 0.0))
+        if isinstance(program.phase.tasks[name], PostureTask) and rows.metric is not None:
+            residual = state.solve_M(rows.metric.dot(residual)[:, None])[:, 0]  # what is in its own space
+            rows = rows._replace(metric=state.M)
         torque, unit = np.zeros(state.v.size), "rad/s^2, m/s^2"
         if (A := rows.A.get("vdot", np.zeros((0, 0)))) is None or len(A):
             force = residual if rows.metric is None else rows.metric.dot(residual)
