@@ -318,7 +318,8 @@ def _times(ax: Axes, log: Log) -> None:
         (period, f"period {period:.0f}: {np.mean(us > period):.2%} over", BAD, "-"),
     ):
         ax.axvline(x, color=colour, linestyle=style, linewidth=1.4, label=text)
-    ticks = [step * 10.0**k for k in range(-3, 9) for step in (1, 2, 5)]
+    steps = (1, 2, 5) if high < 100.0 * low else (1,)  # labels of more would overlap
+    ticks = [step * 10.0**k for k in range(-3, 9) for step in steps]
     ax.set(xscale="log", xlim=(low, high), ylim=(0, 1.45 * ax.get_ylim()[1]))
     ax.set_xticks([x for x in ticks if low <= x <= high], [f"{x:g}" for x in ticks if low <= x <= high])
     ax.minorticks_off()
