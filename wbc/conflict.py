@@ -26,6 +26,7 @@ NOTHING = 1e-9  # a row whose norm is less, relative to what it was, does not de
 SOFT = 1e-6  # of violations against distance, where all rows may give way
 PULLS = (1e-6, 1e-4, 1e-2)  # towards the last iterate, where one name gives way: the next where one has no answer
 SETTLED = 1e-8
+TOLERANCE = 1e-6  # of rows of norm 1 that together still have an answer
 STEPS = 30
 _SOFT_ROW = 8  # DAQP's flag
 
@@ -65,7 +66,7 @@ class System:
     def feasible(self, names: Sequence[str]) -> bool:
         """Whether some x satisfies the rows of these names."""
         reduced = self._reduced(self.rows(names))
-        return reduced is not None and _nearest(*reduced) is not None
+        return reduced is not None and (_nearest(*reduced) is not None or _violation(*reduced) <= TOLERANCE)
 
     def conflict(self, among: Sequence[str] | None = None) -> tuple[str, ...]:
         """Names of an irreducible infeasible set; none where all hold together."""
@@ -162,6 +163,19 @@ def _nearest(C: Array, lo: Array, hi: Array) -> Array | None:
         return np.zeros(d)
     z, flag, _ = _daqp(np.eye(d), np.zeros(d), C, lo, hi)
     return None if flag < 1 else z
+
+
+def _violation(C: Array, lo: Array, hi: Array) -> float:
+    """The least t by which all rows, scaled to a norm of 1, must give way: a solver may miss an answer far away."""
+    size = np.linalg.norm(C, axis=1)
+    C, lo, hi = C / size[:, None], lo / size, hi / size
+    d, up, down = C.shape[1], np.isfinite(hi), np.isfinite(lo)
+    give = np.concatenate((C[up], -C[down]))
+    rows = np.zeros((len(give) + 1, d + 1))
+    rows[:-1, :d], rows[:-1, d], rows[-1, d] = give, -1.0, 1.0
+    most = np.concatenate((hi[up], -lo[down], [np.inf]))
+    least = np.concatenate((np.full(len(give), -np.inf), [0.0]))
+    return next((t for pull in PULLS if (t := _least(d, rows, least, most, pull)) is not None), np.inf)
 
 
 def _least(d: int, rows: Array, lo: Array, hi: Array, pull: float) -> float | None:
