@@ -232,3 +232,4 @@ LEAST_MASS_ERROR = 0.10  # smallest stable M against the computed one
 ZY_ERROR = 0.02  # |Z Y - 1|, Z of an impedance along x, Y of an admittance along y
 BODE_FREQUENCIES = 10
 OBSERVER_ERROR = 0.05  # [N] against the lag-filtered truth
+EXPLAINED = 0.95  # of generated ticks without an answer, whose known culprits `wbc explain` names

@@ -147,6 +147,42 @@ def verify(spec: str, solver: str | None, seed: int, overrides: tuple[str, ...],
 
 
 @main.command()
+@click.argument("spec")
+@click.option("--at", type=float, required=True, metavar="T", help="Which tick, by the simulated time [s].")
+@_SEED
+@_SOLVER
+@_HIERARCHY
+@_SET
+@_JSON
+def explain(
+    spec: str,
+    at: float,
+    seed: int,
+    solver: str | None,
+    hierarchy: str | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Run SPEC to the time T and explain that tick: what conflicts, or what made the torque."""
+    with _faults(spec, as_json):
+        if not at >= 0.0:
+            raise WbcError(f"--at {at:g}: expected a time of 0 or more [s]")
+        loaded = _load(spec, overrides, solver, None, hierarchy)
+        loaded = _load(spec, overrides, solver, at + 1.0 / loaded.rate, hierarchy)
+        from .build import build
+        from .explain import explain as examine
+        from .explained import tell
+        from .run import run as simulate
+
+        built = build(loaded)
+        with _progress(f"run to {at:g} s", round(loaded.duration * loaded.rate)) as progress:
+            simulate(built, seed, progress)
+        told = examine(built.controller)
+    _emit({"spec": Path(loaded.file).stem} | told.as_json(), as_json, lambda: tell(told, _console()))
+    sys.exit(0)
+
+
+@main.command()
 @click.argument("specs", nargs=-1)
 @click.option("--solvers", default="all", show_default=True, metavar="A,B|all", help="Which solvers.")
 @click.option(

@@ -75,6 +75,16 @@ class Memory(NamedTuple):
     stale: int = 0  # ticks in a row whose time did not go on
 
 
+class Tick(NamedTuple):
+    """The last problem that was solved, for `explain`: of which program, at which state and last torque, and the
+    answer."""
+
+    program: Program
+    state: State
+    tau_last: Array
+    solution: Solution
+
+
 class Controller:
     """A whole-body contact controller.
 
@@ -123,6 +133,8 @@ class Controller:
         self.recalled = Memory()  # what the last tick began with, after a change of phase
         self.start = start.q  # the configuration that the tasks and contacts were built at
         self.state = start
+        self.output: Output | None = None  # of the last tick
+        self.tick: Tick | None = None  # None where the last tick solved nothing
 
     @classmethod
     def from_spec(cls, spec: Any, robot: Robot | None = None, **changes: Any) -> Controller:
@@ -222,10 +234,13 @@ class Controller:
         `measured`: contact, or task that has none -> Wrench; `targets`: `contact.axis` -> number, kept until changed;
         `tau_applied`: what the driver really sent last; `missed`: ticks that the caller left out. Never raises on data.
         """
+        self.tick = None
         try:
-            return self._step(t, q, v, measured, targets, tau_applied, missed)
+            out = self._step(t, q, v, measured, targets, tau_applied, missed)
         except Exception as error:  # whatever a task of one's own does, the loop goes on
-            return self._hold(f"{type(error).__name__}: {error}")
+            out = self._hold(f"{type(error).__name__}: {error}")
+        self.output = out
+        return out
 
     def _step(self, t: Any, q: Any, v: Any, measured: Any, targets: Any, tau_applied: Any, missed: int) -> Output:
         q, fault = self._checked(q, v)
@@ -295,6 +310,7 @@ class Controller:
         solution = program.solve(self._solver)
         if not solution.accepted and program.relax(state):
             solution = program.solve(self._second)
+        self.tick = Tick(program, state, tau_last, solution)
         dropped: tuple[str, ...] = ()
         if not solution.accepted:
             reason = program.last.fault() or solution.reason

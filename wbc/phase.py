@@ -435,22 +435,23 @@ class Program:
 
     def names(self, z: Array, found: list[int], state: State, tau_last: Array, dt: float) -> tuple[str, ...]:
         """Names of active rows of the last problem, with which of two limits it is that binds."""
-        joints = state.robot.joints
         names = [f"{name}.lifted" for name in self.pushing if state.contacts[name].lifted]
         names += [f"{name}.{state.loops[name].cut}" for name in self.force if state.loops[name].cut]
-        for i in found:
-            label = self.last.labels[i]
-            kind, _, joint = label[:-1].partition("[")
-            if kind == "torque":
-                label = self.phase.torque.name(joints.index(joint), bool(z[i] > 0.0), tau_last, dt)
-            elif kind == "joint" and self.phase.joint is not None:
-                number, rows = joints.index(joint), self.strict.stored["joint"]
-                side = rows.hi if z[i] > 0.0 else rows.lo
-                label = self.phase.joint.name(number, bool(z[i] > 0.0), state.q, side[state.robot.base + number])
-            elif kind == "collision" and self.phase.collision is not None:
-                label = self.phase.collision.name(int(joint), state)
-            names.append(label)
+        names += [self.name(self.last.labels[i], bool(z[i] > 0.0), state, tau_last, dt) for i in found]
         return tuple(dict.fromkeys(names)) if self.pushing else tuple(names)
+
+    def name(self, label: str, upper: bool, state: State, tau_last: Array, dt: float) -> str:
+        """The name of a row of the last tick on that side: of a joint, which of its limits it is that binds."""
+        kind, _, joint = label[:-1].partition("[")
+        if kind == "torque":
+            return self.phase.torque.name(state.robot.joints.index(joint), upper, tau_last, dt)
+        if kind == "joint" and self.phase.joint is not None:
+            number, rows = state.robot.joints.index(joint), self.strict.stored["joint"]
+            side = rows.hi if upper else rows.lo
+            return self.phase.joint.name(number, upper, state.q, side[state.robot.base + number])
+        if kind == "collision" and self.phase.collision is not None:
+            return self.phase.collision.name(int(joint), state)
+        return label
 
 
 def _softened(rows: Rows) -> Rows:
