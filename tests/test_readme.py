@@ -63,8 +63,18 @@ def test_every_command_and_spec_is_named():
         assert f"`{name}`" in README
 
 
+def test_explained_ticks_are_as_shown():
+    shown = re.findall(r"`(wbc explain [^`]*--at [\d.]+[^`]*)`[^`]*```\n(.*?)```", README, flags=re.S)
+    assert len(shown) == 2
+    for command, lines in shown:
+        result = CliRunner().invoke(main, command.split()[1:])
+        assert result.exit_code == 0, result.output
+        for figure in re.findall(r"[-+]?\d+\.\d+|\d+ constraints", lines):
+            assert figure in result.output, (command, figure)
+
+
 def test_commands_with_set_are_true():
-    for key in re.findall(r"--set (\S+=\S+?)`", README):
+    for key in re.findall(r"--set (\S+=\S+?)`", re.sub(r"`wbc explain [^`]*`", "", README)):
         if "key.path" in key:
             continue
         result = CliRunner().invoke(main, ["check", "eraser", "--set", key])

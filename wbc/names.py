@@ -50,7 +50,8 @@ def _folders(spec: specs.Spec, found: Mapping[str, str]) -> tuple[Path, ...] | N
     """Where files may be read: the spec's folder and what is shipped; more when asked. None: anywhere."""
     if spec.allow_outside:
         return None
-    more = [find("", name).parent.parent for name in found.values() if name.startswith("erd:")]
+    given = (spec.robot, spec.tool, spec.scene)
+    more = [find("", name).parent.parent for name in given if name is not None and name.startswith("erd:")]
     more += [
         Path(name).expanduser().parent for key, name in found.items() if Path(name).suffix and spec.set_by_hand(key)
     ]
