@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from .qp import Array
 
 if TYPE_CHECKING:
     from .frame import Frame
+    from .phase import Phase
+    from .robot import State
 
 LIFTED = 5e-4  # [m] above its plane from which a foot carries nothing
 RATE, MOST = 20.0, 20.0  # [1/s], [m/s^2, rad/s^2] of the way down
@@ -85,3 +88,24 @@ class Ground(NamedTuple):
         if self.missing + 1 < MISSING:
             return self._replace(missing=self.missing + 1)
         return Ground(min(self.level, height - 2.0 * LIFTED))
+
+
+def floors(
+    state: State, phase: Phase, before: Mapping[str, Ground], asked: Mapping[str, Array]
+) -> Mapping[str, Ground]:
+    """Where the feet of a phase have found the floor, those that measure their force; `asked`: wrenches by contact."""
+    if not state.measured and not before:
+        return before
+    grounds = {name: ground for name, ground in before.items() if name in phase.contacts}
+    for name in phase.standing:
+        footing = phase.contacts[name].footing
+        if name in state.measured and footing is not None:
+            frame = state.frame(phase.contacts[name].frame)
+            push = footing.push(frame, asked[name]) if name in asked else 0.0
+            grounds[name] = grounds.get(name, Ground()).felt(footing, frame, state.measured[name], push)
+    return grounds
+
+
+def levels(phase: Phase, grounds: Mapping[str, Ground]) -> dict[Any, float]:
+    """The same by contact, in metres above their planes."""
+    return {phase.contacts[name]: ground.level for name, ground in grounds.items() if name in phase.contacts}
