@@ -93,6 +93,8 @@ EXPECTED = {  # kind -> (worst status while it lasts, ten ticks)
     "solver.x": "SAFE_HOLD",
     "solver.signs": "OK",  # nothing is active: its multipliers are those of equalities, or zero
     "solver.stale": "SAFE_HOLD",
+    "solver.nan": "SAFE_HOLD",
+    "solver.shape": "SAFE_HOLD",
     "state.nan": "SAFE_HOLD",
     "state.shape": "SAFE_HOLD",
     "state.quaternion": "OK",  # there is none in an arm's q

@@ -143,4 +143,9 @@ class Unreliable:
         if fault := now.get("solver.x"):
             x = x.copy()
             x[self._rng.integers(x.size)] += fault.value
+        if "solver.nan" in now:
+            x = x.copy()
+            x[self._rng.integers(x.size)] = math.nan
+        if "solver.shape" in now:
+            x = x[:-1]
         return x, -z if "solver.signs" in now else z

@@ -40,6 +40,8 @@ KINDS = {
     "solver.x": Kind(1e-3, "what is added to an entry of its answer"),
     "solver.signs": Kind(None, "its multipliers have the other sign"),
     "solver.stale": Kind(None, "it answers what it last did"),
+    "solver.nan": Kind(None, "an entry of its answer is NaN"),
+    "solver.shape": Kind(None, "its answer lacks the last entry"),
     "state.nan": Kind(None, "an entry of q or v is NaN"),
     "state.shape": Kind(None, "q lacks its last entry"),
     "state.quaternion": Kind(0.9, "norm of the quaternion in q [1]"),
