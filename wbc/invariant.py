@@ -443,7 +443,8 @@ def _sound(x: Any, n: int) -> bool:
     """Whether it is a finite float64 array of n numbers, in one piece and writeable."""
     if not isinstance(x, np.ndarray) or x.dtype != np.float64 or not x.dtype.isnative or x.shape != (n,):
         return False
-    return x.flags.c_contiguous and x.flags.aligned and x.flags.writeable and bool(np.isfinite(x).all())
+    # whose square is no number is as good as none
+    return x.flags.c_contiguous and x.flags.aligned and x.flags.writeable and bool((np.abs(x) < 1e150).all())
 
 
 def _wrenches(measured: Any) -> list[Any]:
