@@ -93,6 +93,7 @@ EXPECTED = {  # kind -> (worst status while it lasts, ten ticks)
     "solver.x": "SAFE_HOLD",
     "solver.signs": "OK",  # nothing is active: its multipliers are those of equalities, or zero
     "solver.stale": "SAFE_HOLD",
+    "solver.leans": "SAFE_HOLD",
     "solver.nan": "SAFE_HOLD",
     "solver.shape": "SAFE_HOLD",
     "state.nan": "SAFE_HOLD",

@@ -130,7 +130,7 @@ class Watched:
         self._bounded(call, out, before, after, certified)
         if certified:
             self._certified(out)
-            self._moved(out, after)
+            self._moved(call, out, after)
             self._named(call, out)
             self._advanced(call, before, after)
         else:
@@ -223,10 +223,10 @@ class Watched:
             f"primal, dual, gap {told}, accepted as {', '.join(f'{r:.2e}' for r in out.certificate)}",
         )
 
-    def _moved(self, out: Output, after: Memory) -> None:
+    def _moved(self, call: Call, out: Output, after: Memory) -> None:
         controller, state = self.controller, self.controller.state
         known = state.bias - state.h  # of wrenches that are known
-        asked = self._body.torque(after.q, after.v, out.vdot) + known
+        asked = self._body.torque(call.q, call.v, out.vdot) + known
         for name, F in out.wrenches.items():
             asked = asked + self._body.carried(controller.phase.contacts[name], F)
         base = controller.robot.base

@@ -71,6 +71,7 @@ class Episode:
         self._sent: Array | None = None
         self._held = 0  # ticks in a row
         self._was_bad = False
+        self._lent: list[Array] = []
         self._before: tuple[Observation, Output, Any] | None = None
 
     def run(self) -> Outcome:
@@ -112,16 +113,19 @@ class Episode:
         seen = simulator.observe()
         F = _measured(simulator, self._controller, self._before, seen)
         given: Any = dict.fromkeys(self._feeling, F) if F is not None else None
-        if self._before is not None:
-            self._overwrite(self._before[0], self._before[1])
+        for x in self._lent:  # the caller writes over what it gave and got
+            x[:] = np.nan
         if plan.late and self._before is not None:
             tau = self._sent  # the motors go on with what they have
         else:
             shown, measured, missed = plan.seen(seen, self._built.robot), plan.measured(given), plan.told()
+            q = shown.q.copy()
+            for part in self._built.robot.unit_parts if q.size == self._built.robot.nq else ():
+                q[part] *= made.norm
             call: Given = {
                 "t": shown.t + made.clock,
-                "q": shown.q,
-                "v": shown.v,
+                "q": q,
+                "v": shown.v.copy(),
                 "measured": measured,
                 "missed": missed,
             }
@@ -130,6 +134,7 @@ class Episode:
             out = self._step(tick, call)
             tau = out.tau.copy()
             self._note(tick, call, out)
+            self._lent = [call["q"], call["v"], out.tau, out.vdot, *out.wrenches.values()]
             self._before = (Observation(seen.t, seen.q.copy(), seen.v.copy()), out, self._controller.state)
         assert tau is not None
         self._sent = tau
@@ -140,11 +145,6 @@ class Episode:
             return None
         off = self._rng.uniform(-0.5, 0.5, self._sent.size) if self._made.applied == "off" else 0.0
         return self._sent + off
-
-    def _overwrite(self, seen: Observation, out: Output) -> None:
-        """The caller's arrays are the caller's: it writes over what it gave and got."""
-        for x in (seen.q, seen.v, out.tau, *out.wrenches.values()):
-            x[:] = np.nan
 
     def _step(self, tick: int, call: Given) -> Output:
         """The tick with whatever the caller gets wrong in it, or an operator's reset before it."""

@@ -63,11 +63,15 @@ def cases(
     )
 
 
+def built_of(case: Case) -> Built:
+    if case not in _built:
+        _built[case] = build(case.load())
+    return _built[case]
+
+
 def run_one(case: Case, seed: int) -> Outcome:
     """One seed; a controller is built once for each case and process."""
-    built = _built.get(case)
-    if built is None:
-        built = _built[case] = build(case.load())
+    built = built_of(case)
     made, repeat = scenario(built, seed), case.repeat(seed)
     outcome = Episode(built, made, repeat).run()
     if seed % TWICE or outcome.failure is not None:

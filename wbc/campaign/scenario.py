@@ -37,7 +37,8 @@ class Scenario(NamedTuple):
 
     `clock` [s]: what the caller's clock shows at the start; `faults`: lines of a fault plan; `calls`: ticks at which
     the caller gives what no tick takes, and of which kind; `patience`: ticks in a safe hold until somebody resets;
-    `applied`: what `tau_applied` says: nothing, what was sent, or that and an error.
+    `applied`: what `tau_applied` says: nothing, what was sent, or that and an error; `norm`: of the caller's
+    quaternions, negative for the other sign.
     """
 
     seed: int
@@ -49,6 +50,7 @@ class Scenario(NamedTuple):
     calls: tuple[tuple[int, str], ...]
     patience: int
     applied: str
+    norm: float
 
 
 def scenario(built: Built, seed: int) -> Scenario:
@@ -67,6 +69,7 @@ def scenario(built: Built, seed: int) -> Scenario:
     return Scenario(
         seed, ticks, plant, float(rng.choice((0.0, 0.0, -3.0, 1e3, 1e5))), _targets(rng, built, ticks), faults, calls,
         int(rng.integers(1, 25)), _APPLIED[int(rng.choice(3, p=(0.6, 0.2, 0.2)))],
+        float(rng.choice((1.0, 1.0, -1.0, 1.0 + 9e-4, 1.0 - 9e-4, 1.0 + 1e-9))),
     )  # fmt: skip
 
 
@@ -131,6 +134,7 @@ def _value(rng: np.random.Generator, kind: str) -> str:
         "simulator.missed": (1.0, 2.0, 3.0, 5.0, 19.0, 20.0, 30.0),
         "state.quaternion": (1.0 + 1e-6, 1.0 - 9e-4, 1.0 + 9e-4, 1.002, 0.99, 0.5, 1e-9, 0.0, -1.0),
         "state.time": (-1.0, -0.01, -0.001, 1e-9, 0.001, 0.0015, 0.05, 5.0),
+        "solver.leans": (1e-6, 1e-3, 0.1, 10.0),
         "solver.x": (1e-7, 1e-4, 1e-2, 1.0, 1e3, -1.0),
     }
     choice = special.get(kind) or (0.1 * own, 3.0 * own, -own, -10.0 * own)

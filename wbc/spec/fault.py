@@ -40,6 +40,7 @@ KINDS = {
     "solver.x": Kind(1e-3, "what is added to an entry of its answer"),
     "solver.signs": Kind(None, "its multipliers have the other sign"),
     "solver.stale": Kind(None, "it answers what it last did"),
+    "solver.leans": Kind(1.0, "a multiplier on a limit that does not bind, and the answer that goes with it"),
     "solver.nan": Kind(None, "an entry of its answer is NaN"),
     "solver.shape": Kind(None, "its answer lacks the last entry"),
     "state.nan": Kind(None, "an entry of q or v is NaN"),
