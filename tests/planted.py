@@ -37,8 +37,10 @@ CHECKED = "controller:Controller._checked"
 
 BUGS = (
     # what comes in
-    bug("q is taken as it comes", CHECKED, 'array_fault("q", q, self.robot.nq) or ', "", "refused raises swallowed hold"),
-    bug("v is taken as it comes", CHECKED, ' or array_fault("v", v, self.robot.nv)', "", "refused raises swallowed hold"),
+    bug("q is taken as it comes", CHECKED, 'array_fault("q", q, self.robot.nq) or ', "",
+        "refused raises swallowed hold"),
+    bug("v is taken as it comes", CHECKED, ' or array_fault("v", v, self.robot.nv)', "",
+        "refused raises swallowed hold"),
     bug("any time is taken", STEP, "fault = fault or time_fault(t)", "pass", "refused swallowed clock"),
     bug(
         "wrenches are taken as they come", "inputs:_at",
@@ -53,16 +55,19 @@ BUGS = (
     bug("any torque is believed to be applied", STEP, 'if fault := array_fault("tau_applied", tau_applied, self.robot.nu):',
         "if fault := '':", "refused swallowed rate"),
     bug("a quaternion is left as it is", "valid:unit", "q[part] /= norm", "pass", "dynamics hold"),
-    bug("a quaternion may have any norm", "valid:unit", "if not abs(norm - 1.0) <= UNIT:", "if not norm > 0.0:", "refused"),
+    bug("a quaternion may have any norm", "valid:unit", "if not abs(norm - 1.0) <= UNIT:", "if not norm > 0.0:",
+        "refused"),
     # limits
     bug("no limit of the torque rate", "limit:TorqueLimit.window", "self.rate, dt", "self.rate, 1e3 * dt", "rate"),
     bug("no limit of the torque", "limit:TorqueLimit.window", "(self.low, self.high, self.rate",
         "(self.low - 1e3, self.high + 1e3, self.rate", "limit"),
     # the answer
-    bug("a refused x is read", STEP, "if not solution.accepted:\n            reason", "if not solution.x.size:\n            reason",
+    bug("a refused x is read", STEP, "if not solution.accepted:\n            reason",
+        "if not solution.x.size:\n            reason",
         "certificate"),
     bug("the solver is taken at its word", "solver:_attempt",
-        "if primal <= tolerance.primal and dual <= tolerance.dual and gap <= tolerance.gap:", "if x.shape == problem.g.shape:", "certificate finite raises swallowed"),
+        "if primal <= tolerance.primal and dual <= tolerance.dual and gap <= tolerance.gap:",
+        "if x.shape == problem.g.shape:", "certificate finite raises swallowed"),
     bug("the certificate has no gap", "kernels.program:residuals", "return math.sqrt(primal), math.sqrt(dual), gap",
         "return math.sqrt(primal), math.sqrt(dual), 0.0", "certificate"),
     bug("the certificate has no dual residual", "kernels.program:residuals",
@@ -96,9 +101,11 @@ BUGS = (
     bug("the torque that is remembered is given out", ACCEPT, "else tau.copy()", "else tau", "memory"),
     bug("targets are forgotten", ACCEPT, "state.targets, status", "{}, status", "targets"),
     # what is told
-    bug("OK while a limit is active", RATED, "if active or refused or program.yielded:", "if refused or program.yielded:",
+    bug("OK while a limit is active", RATED, "if active or refused or program.yielded:",
+        "if refused or program.yielded:",
         "status"),
-    bug("what is refused is not told", RATED, "told = Status.LIMITED, list(refused)", "told = Status.LIMITED, []", "refused"),
+    bug("what is refused is not told", RATED, "told = Status.LIMITED, list(refused)", "told = Status.LIMITED, []",
+        "refused"),
 )  # fmt: skip
 
 

@@ -131,6 +131,7 @@ def test_a_mended_controller_has_its_solvers_back():
     assert statuses(result)[20] == "DEGRADED"
 
 
+@pytest.mark.row(18)
 @pytest.mark.parametrize(("fault", "why"), [("simulator.nan", "mjWARN_BADQPOS"), ("simulator.reset", "it was reset")])
 def test_row_18_a_simulator_that_breaks_down_ends_the_run_and_says_when(fault, why, tmp_path):
     args = ["run", "eraser", "--headless", "--json", "--duration", "0.6", "--out", str(tmp_path)]
@@ -147,6 +148,7 @@ def test_row_18_a_simulator_that_breaks_down_ends_the_run_and_says_when(fault, w
     assert (tmp_path / "report.png").exists()
 
 
+@pytest.mark.row(18)
 def test_row_18_of_the_first_tick_too(tmp_path):
     args = ["run", "eraser", "--headless", "--json", "--duration", "0.2", "--out", str(tmp_path)]
     result = CliRunner().invoke(main, [*args, "--fault", "simulator.nan at 0"])

@@ -106,6 +106,7 @@ class Watched:
         owned = [(x, x.copy()) for x in (q, v, tau_applied, *_wrenches(measured)) if isinstance(x, np.ndarray)]
         if known.mark is not None:
             self._hold("memory", mark(before) == known.mark, "what was remembered has changed since the last tick")
+        self.checked["raises"] += 1
         try:
             out = controller.step(t, q, v, measured, targets, tau_applied, missed)
         except Exception as error:

@@ -18,7 +18,7 @@ from .scenario import scenario
 if TYPE_CHECKING:
     Progress = Callable[[int], None]
 
-TWICE = 10  # every so many seeds are run twice, and have to be the same
+TWICE = 9  # every so many seeds are run twice, and have to be the same
 NEXT_GOOD = 0.999  # share of good ticks after bad ones that have to be accepted
 CHUNK = 10  # seeds that a process is given at a time
 
