@@ -153,7 +153,7 @@ def test_a_watched_controller_is_the_controller():
     watched.reset(q, v)
     with (
         planted(bug("the torque is not that of x")),
-        pytest.raises(InvariantError, match="dynamics: .* python mine.py"),
+        pytest.raises(InvariantError, match=r"dynamics: .* python mine\.py"),
     ):
         watched.step(0.0, q, v)
 
