@@ -19,7 +19,7 @@ from .holding import HELD, Answer, Holding
 from .impedance import NEW, Felt
 from .inputs import Inputs
 from .kernels import torque
-from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status, fewest
+from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status
 from .memory import NEW_WATCH, NOTHING, Memory, Output
 from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
 from .qp import Array, Workspace
@@ -82,6 +82,7 @@ class Controller:
         self.notes: list[str] = []
         program = WholeBodyProgram if robot.base else Program
         self._programs: list[Program] = [program(settle_posture(phase, start, self.notes), start) for phase in phases]
+        self._spare = [each.spare(start) for each in self._programs]
         self.notes += dict.fromkeys(note for each in self._programs for note in each.notes)
         self._holding = Holding(robot, self._terms, self._programs, self.dt, brakes)
         self._inputs = Inputs(
@@ -294,9 +295,10 @@ class Controller:
         self, program: Program, state: State, memory: Memory, tau_last: Array
     ) -> tuple[Program, Solution, tuple[str, ...]] | None:
         """The tick without the contacts that cannot be held, as few of them as it takes; None where none can be."""
-        names = list(program.phase.contacts)
-        for dropped in fewest(names):
-            less = program.without(dropped, state)
+        gone = [name for name in program.phase.contacts if name not in memory.lam]  # dropped at the last tick
+        spare = self._spare[memory.phase]
+        for dropped in sorted(spare, key=lambda names: (len(names), *(name not in gone for name in names))):
+            less = spare[dropped]
             state.contacts = {}
             hold(state, less.phase)
             state.starts = less.named(memory.starts)
