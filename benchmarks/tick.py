@@ -25,6 +25,7 @@ import wbc.phase
 import wbc.solver
 from wbc.build import build
 from wbc.controller import Controller
+from wbc.inputs import Inputs
 from wbc.phase import Program
 from wbc.run import run
 from wbc.spec import load
@@ -34,7 +35,7 @@ from wbc.wrench import Wrench
 # stage -> where its functions stand; a stage inside another is taken off it
 STAGES: dict[str, tuple[tuple[Any, str], ...]] = {
     "state": ((wbc.controller, "State"),),
-    "contacts, wrenches": ((wbc.controller, "hold"), (Controller, "_read")),
+    "contacts, wrenches": ((wbc.controller, "hold"), (Inputs, "read")),
     "rows": ((Program, "costs"), (WholeBodyProgram, "costs")),
     "assembly": ((Program, "assemble"),),
     "solve": ((wbc.phase, "answer"),),
