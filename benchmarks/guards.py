@@ -2,7 +2,7 @@
 
     python benchmarks/guards.py [SPEC...] [--ticks N] [--json]
 
-Guards are what looks at the input, at the solver's answer and at what is measured, and changes nothing while all is well:
+Guards look at the input, at the solver's answer and at what is measured, and change nothing while all is well:
 they are taken out of the second controller, one call each, for the time of its tick alone.
 """
 
