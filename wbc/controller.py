@@ -13,7 +13,7 @@ import numpy as np
 
 from .contact import Contact
 from .errors import NameNotFound, StateError
-from .footing import floors, levels
+from .grounds import floors, levels
 from .handover import hand_over
 from .holding import HELD, Answer, Holding
 from .impedance import NEW, Felt
@@ -30,8 +30,6 @@ from .transition import STOP, Change
 from .valid import array_fault, missed_fault, time_fault, unit
 from .whole_body import WholeBodyProgram
 from .wrench import Wrench
-
-__all__ = ["Controller", "Memory", "Output", "Phase", "Status"]
 
 _NEW_LOOP = ForceLoop()
 

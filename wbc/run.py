@@ -15,12 +15,13 @@ import numpy as np
 
 from . import material
 from .build import Built
-from .controller import Controller, Output
+from .controller import Controller
 from .errors import SimulationError
 from .fault import FaultPlan
 from .feeling import unfelt
 from .impedance import Compliance
 from .log import Log
+from .memory import Output
 from .metrics import metrics
 from .model import quietly
 from .phase import Phase
