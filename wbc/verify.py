@@ -19,13 +19,13 @@ import pinocchio as pin
 from .build import Built, build
 from .controller import Controller
 from .coordinates import to_mujoco
+from .crosscheck import point_jacobian
 from .errors import SpecError
 from .faults import Faults, Place
 from .impedance import Compliance, Felt
 from .ladder import Status
 from .limit import TorqueLimit
 from .memory import Memory
-from .model import point_jacobian
 from .observer import Observed
 from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
 from .pair import movable
