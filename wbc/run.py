@@ -48,7 +48,8 @@ class Result:
 
     def write(self, folder: Path) -> None:
         """`log.npz`, `summary.json`, `report.png`, and where there are frequency responses `bode.png`, in `folder`."""
-        from .plot import bode_plot, report
+        from .bode import bode_plot
+        from .plot import report
 
         folder.mkdir(parents=True, exist_ok=True)
         self.log.save(folder / "log.npz")

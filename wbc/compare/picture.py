@@ -17,7 +17,7 @@ def picture(result: Mapping[str, Any], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from ..plot import DPI, INK, MUTED
+    from ..chart import DPI, INK, MUTED
 
     fig = Figure(figsize=(16.0, 7.0), dpi=DPI, facecolor="white")
     fig.suptitle(
@@ -39,7 +39,7 @@ def picture(result: Mapping[str, Any], path: Path) -> None:
 
 def _styles(names: list[str]) -> dict[str, dict[str, Any]]:
     """One colour a solver; tuned full, as it comes dashed, plain dotted."""
-    from ..plot import COLOURS
+    from ..chart import COLOURS
 
     solvers = list(dict.fromkeys(name.split(" (")[0] for name in names))
     return {
