@@ -16,7 +16,7 @@ def test_memory_is_flat_and_the_last_tenth_is_bit_equal(spec, record_property):
     found = soak.twice(spec, SECONDS, seed=0)
     repeat = f"repeat: python benchmarks/soak.py {spec} --seconds {SECONDS:g}"
     record_property("memory growth [MB]", max(found["growth_mb"]))
-    record_property("p99.9 of the tick [us]", max(found["us"]["p99.9"]))
+    record_property("p99.9 of the tick on the processor [us]", found["us"]["p99.9"])
     assert max(found["growth_mb"]) <= soak.GROWTH, repeat
     assert found["bit_equal"], repeat
     assert set(found["status"]) <= {"OK", "LIMITED"}, repeat
@@ -24,8 +24,8 @@ def test_memory_is_flat_and_the_last_tenth_is_bit_equal(spec, record_property):
 
 def test_what_leaks_is_seen(monkeypatch):
     """The verdict on runs that grow, and on runs that part."""
-    run = {"memory": [100.0] * 9 + [102.0], "digest": "a", "us": [{"p50": 1.0, "p99": 1.0, "p99.9": 1.0}] * 10}
-    run |= {"status": {"OK": 1}}
+    us = {"p50": 1.0, "p99": 1.0, "p99.9": 1.0}
+    run = {"memory": [100.0] * 9 + [102.0], "digest": "a", "us": [us] * 10, "wall_us": us, "status": {"OK": 1}}
 
     class Pool:
         def __init__(self, *args, **kwargs):
