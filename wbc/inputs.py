@@ -43,7 +43,7 @@ class Inputs:
         for name, wrench in measured.items():
             frame = self._feeling.get(name)
             if frame is None:
-                known = did_you_mean(name, self._feeling)  # tasks that feel a wrench themselves among them
+                known = did_you_mean(str(name), self._feeling)  # tasks that feel a wrench themselves among them
                 refused.append(f"measured: no contact named {name!r}{known}")
                 continue
             F, fault = _at(wrench, state, frame)
