@@ -19,6 +19,7 @@ _HOME = {
     "ComTask": "centroidal", "DistributionTask": "centroidal", "MomentumTask": "centroidal",
     "WholeBodyPosture": "centroidal", "GazeTask": "relative", "RelativeTask": "relative", "TorqueTask": "effort",
     "RoundFoot": "foot", "weighed": "dynamics",
+    "Explanation": "explanation", "explain": "explanation",
     "Replay": "replay", "Tape": "tape", "WbcError": "errors", "SpecError": "errors", "load": "spec",
 }  # fmt: skip
 _MODULES = ("analytic", "errors", "reference", "solver", "testing")
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from .dynamics import weighed
     from .effort import TorqueTask
     from .errors import SpecError, WbcError
+    from .explanation import Explanation, explain
     from .foot import RoundFoot
     from .frame import Frame
     from .ladder import Status

@@ -36,12 +36,13 @@ _NEW_LOOP = ForceLoop()
 
 class Tick(NamedTuple):
     """The last problem that was solved, for `explain`: of which program, at which state and last torque, and the
-    answer."""
+    answer; `refused` where contacts were dropped: the problem with all of them."""
 
     program: Program
     state: State
     tau_last: Array
     solution: Solution
+    refused: Tick | None = None
 
 
 class Controller:
@@ -281,6 +282,7 @@ class Controller:
             if without is None:
                 return self._hold(reason, state)
             program, solution, dropped = without
+            self.tick = Tick(program, state, tau_last, solution, self.tick)
         self._dropped = program if dropped else None
         return self._accept(program, state, solution, tau_last, memory, t, refused, missed, dropped)
 

@@ -21,7 +21,8 @@ from .machine import Finding, loaded
 # the least version of what the package needs, as in pyproject.toml
 NEEDED = {
     "numpy": "2.0", "numba": "0.61", "pin": "4.0", "mujoco": "4.0", "proxsuite": "0.7", "qpsolvers": "4.4",
-    "daqp": "0.8", "pydantic": "2.8", "pyyaml": "6.0", "click": "8.1", "rich": "13.7", "matplotlib": "3.8",
+    "daqp": "0.8", "highspy": "1.10", "pydantic": "2.8", "pyyaml": "6.0", "click": "8.1", "rich": "13.7",
+    "matplotlib": "3.8",
 }  # fmt: skip
 DIRECT = ("daqp", "proxqp")  # solvers that the package needs; the others are extras
 AGREES = 1e-6  # how far the answer to the small program may be from the known one
