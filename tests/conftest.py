@@ -13,7 +13,7 @@ from wbc.robot import Robot
 
 LONG = (
     "test_tour.py", "test_specs.py", "test_landing.py", "test_mutations.py", "test_pushes.py", "test_friction.py",
-    "test_force.py", "test_verify.py", "test_response.py",
+    "test_force.py", "test_verify.py", "test_response.py", "test_soak.py",
 )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from conflicts import answered, generate, matches
 from wbc import analytic
 from wbc.build import build
 from wbc.cli import main
-from wbc.explain import explain
+from wbc.explanation import explain
 from wbc.hardness import Hard
 from wbc.run import run
 from wbc.spec import load

@@ -13,13 +13,13 @@ import numpy as np
 
 from .contact import Contact
 from .errors import NameNotFound, StateError
-from .footing import floors, levels
+from .grounds import floors, levels
 from .handover import hand_over
 from .holding import HELD, Answer, Holding
 from .impedance import NEW, Felt
 from .inputs import Inputs
 from .kernels import torque
-from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status, fewest
+from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status
 from .memory import NEW_WATCH, NOTHING, Memory, Output
 from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
 from .qp import Array, Workspace
@@ -31,19 +31,18 @@ from .valid import array_fault, missed_fault, time_fault, unit
 from .whole_body import WholeBodyProgram
 from .wrench import Wrench
 
-__all__ = ["Controller", "Memory", "Output", "Phase", "Status"]
-
 _NEW_LOOP = ForceLoop()
 
 
 class Tick(NamedTuple):
     """The last problem that was solved, for `explain`: of which program, at which state and last torque, and the
-    answer."""
+    answer; `refused` where contacts were dropped: the problem with all of them."""
 
     program: Program
     state: State
     tau_last: Array
     solution: Solution
+    refused: Tick | None = None
 
 
 class Controller:
@@ -82,6 +81,7 @@ class Controller:
         self.notes: list[str] = []
         program = WholeBodyProgram if robot.base else Program
         self._programs: list[Program] = [program(settle_posture(phase, start, self.notes), start) for phase in phases]
+        self._spare = [each.spare(start) for each in self._programs]
         self.notes += dict.fromkeys(note for each in self._programs for note in each.notes)
         self._holding = Holding(robot, self._terms, self._programs, self.dt, brakes)
         self._inputs = Inputs(
@@ -282,6 +282,7 @@ class Controller:
             if without is None:
                 return self._hold(reason, state)
             program, solution, dropped = without
+            self.tick = Tick(program, state, tau_last, solution, self.tick)
         self._dropped = program if dropped else None
         return self._accept(program, state, solution, tau_last, memory, t, refused, missed, dropped)
 
@@ -294,9 +295,10 @@ class Controller:
         self, program: Program, state: State, memory: Memory, tau_last: Array
     ) -> tuple[Program, Solution, tuple[str, ...]] | None:
         """The tick without the contacts that cannot be held, as few of them as it takes; None where none can be."""
-        names = list(program.phase.contacts)
-        for dropped in fewest(names):
-            less = program.without(dropped, state)
+        gone = [name for name in program.phase.contacts if name not in memory.lam]  # dropped at the last tick
+        spare = self._spare[memory.phase]
+        for dropped in sorted(spare, key=lambda names: (len(names), *(name not in gone for name in names))):
+            less = spare[dropped]
             state.contacts = {}
             hold(state, less.phase)
             state.starts = less.named(memory.starts)

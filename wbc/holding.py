@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .footing import levels
+from .grounds import levels
 from .ladder import HOLD_DAMPING, HOLD_TICKS, Status, decayed
 from .memory import Memory, Output
 from .phase import Program, hold

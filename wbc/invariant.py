@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from .controller import Controller, Memory, Output, Status
+from .controller import Controller
 from .errors import InvariantError
-from .ladder import FOLLOWS
+from .ladder import FOLLOWS, Status
+from .memory import Memory, Output
 from .qp import Array
 from .robot import Robot
 from .wrench import Wrench

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .footing import Ground
+from .grounds import Ground
 from .handover import Start
 from .impedance import Felt
 from .ladder import GOOD_TICKS, Status

@@ -11,19 +11,18 @@ import numpy as np
 
 from ..errors import InvariantError, SimulationError
 from ..fault import FaultPlan
-from ..feeling import unfelt
 from ..invariant import STOPPED_AT, Watched, mark
 from ..ladder import Status
 from ..model import quietly
 from ..qp import Array
-from ..run import _measured
+from ..run import felt_names, wrist
 from ..sim import Observation, Simulator
 from .arguments import ARGUMENTS, Given
 from .scenario import ENDING, Scenario
 
 if TYPE_CHECKING:
     from ..build import Built
-    from ..controller import Output
+    from ..memory import Output
 
 # name -> what must hold, of several ticks
 INVARIANTS = {
@@ -103,15 +102,14 @@ class Episode:
 
     def _start(self) -> None:
         built = self._built
-        self._deaf = unfelt(built.robot, built.phases)
-        self._feeling = [name for phase in built.phases for name in phase.feeling if name not in self._deaf]
+        self._feeling = felt_names(built)
         self._watched.reset(built.q, np.zeros(built.robot.nv))
 
     def _tick(self, tick: int) -> None:
         made, plan, simulator = self._made, self._plan, self._simulator
         plan.begin(tick, simulator)
         seen = simulator.observe()
-        F = _measured(simulator, self._controller, self._before, seen)
+        F = wrist(simulator, self._controller, self._before, seen)
         given: Any = dict.fromkeys(self._feeling, F) if F is not None else None
         for x in self._lent:  # the caller writes over what it gave and got
             x[:] = np.nan
