@@ -20,9 +20,10 @@ from qpsolvers import Problem, solve_problem
 from wbc.build import build
 from wbc.collision import SelfCollision
 from wbc.contact import MatrixContact
-from wbc.controller import Controller, Phase
+from wbc.controller import Controller
 from wbc.friction import unilateral
 from wbc.limit import FloatingJointLimit, JointLimit, TorqueLimit
+from wbc.phase import Phase
 from wbc.spec import load
 from wbc.surface import Sole
 from wbc.task import PostureTask

@@ -310,6 +310,47 @@ def _bisect(a: str, b: str, as_json: bool) -> NoReturn:
 
 
 @main.command()
+@click.argument("specs", nargs=-1)
+@click.option("--seeds", type=click.IntRange(min=1), default=100, show_default=True, help="How many seeds.")
+@click.option("--first", type=click.IntRange(min=0), default=0, show_default=True, help="The first of them.")
+@click.option("--seed", type=click.IntRange(min=0), help="Only this one.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="How many processes.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write campaign.json there.")
+@_SOLVER
+@_HIERARCHY
+@_SET
+@_JSON
+def campaign(
+    specs: tuple[str, ...],
+    seeds: int,
+    first: int,
+    seed: int | None,
+    jobs: int,
+    out: Path | None,
+    solver: str | None,
+    hierarchy: str | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Let everything go wrong on SPECS (some of the shipped ones when left out), and hold every tick against what must
+    always hold."""
+    chosen = range(first, first + seeds) if seed is None else range(seed, seed + 1)
+    with _faults(specs[0] if specs else "the campaign", as_json):
+        from . import campaign as campaigns
+
+        cases = campaigns.cases(specs, overrides, solver, hierarchy)
+        for case in cases:
+            _load(case.spec, case.changes)
+        folder = _folder(out) if out is not None else None
+        with _progress("campaign", len(chosen)) as progress:
+            result = campaigns.campaign(cases, chosen, jobs, progress)
+        if folder is not None:
+            (folder / "campaign.json").write_text(json.dumps(_plain(result), allow_nan=False, indent=1) + "\n")
+    _emit(result, as_json, lambda: _console().print(campaigns.table(result)))
+    sys.exit(0 if result["ok"] else 1)
+
+
+@main.command()
 @click.option("--json", is_flag=True, expose_value=False, help="It is one JSON object anyway.")
 def schema() -> None:
     """Print the JSON Schema of a spec, for editors."""

@@ -14,7 +14,9 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+from .machine import Finding, loaded
 
 # the least version of what the package needs, as in pyproject.toml
 NEEDED = {
@@ -24,15 +26,6 @@ NEEDED = {
 }  # fmt: skip
 DIRECT = ("daqp", "proxqp")  # solvers that the package needs; the others are extras
 AGREES = 1e-6  # how far the answer to the small program may be from the known one
-
-
-class Finding(NamedTuple):
-    """One thing looked at: `status` is "ok", "note" or "problem"; `do` is empty where all is well."""
-
-    name: str
-    status: str
-    found: str
-    do: str = ""
 
 
 def examine(seconds: float = 1.0, rendering: bool = True) -> dict[str, Any]:
@@ -152,15 +145,6 @@ def _entry(module: Path) -> str:
     """The entry of PYTHONPATH that a module was found through, or nothing."""
     entries = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
     return next((entry for entry in entries if module.is_relative_to(Path(entry).resolve())), "")
-
-
-def loaded(name: str, told: Path = Path("/proc/self/maps")) -> list[str]:
-    """Files of the shared libraries of that name that are in this process; nothing where the system does not tell."""
-    try:
-        maps = told.read_text()
-    except OSError:
-        return []
-    return list(dict.fromkeys(re.findall(rf"(/\S*/{re.escape(name)}[^/\s]*\.so\S*)$", maps, re.MULTILINE)))
 
 
 def _solvers() -> Iterator[Finding]:
