@@ -22,6 +22,7 @@ from .frame import Frame
 from .qp import Array, Rows
 from .reference import Reference, Sample
 from .robot import State
+from .singular import LEAST
 from .task import PostureTask
 
 _ORDER = [3, 4, 5, 0, 1, 2]
@@ -76,9 +77,14 @@ class ComTask:
     """
 
     def __init__(
-        self, path: Reference, kp: Any = 40.0, kd: Any = 12.0, over: Mapping[str, float] | None = None
+        self,
+        path: Reference,
+        kp: Any = 40.0,
+        kd: Any = 12.0,
+        over: Mapping[str, float] | None = None,
+        singular: float = LEAST,
     ) -> None:
-        self.path, self.over = path, dict(over or {})
+        self.path, self.over, self.singular = path, dict(over or {}), singular
         self.Kp, self.Kd = gain_matrix(kp, 3, "kp"), gain_matrix(kd, 3, "kd")
         self._K = np.hstack((self.Kp, self.Kd))
 

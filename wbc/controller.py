@@ -439,7 +439,8 @@ class Controller:
             if name in force:
                 loops[name] = force[name][1].advance(state, lam[name])
         found = workspace.active(solution.z)
-        active = program.names(solution.z, found, state, tau_last, self.dt) if found or program.pushing else ()
+        names = found or program.pushing or state.singular
+        active = program.names(solution.z, found, state, tau_last, self.dt) if names else ()
         if dropped:  # they are told of as before, but carry nothing
             active = (*(f"{name}.dropped" for name in dropped), *active)
             hold(state, self._programs[memory.phase].phase)
@@ -453,6 +454,7 @@ class Controller:
                 gave = program.gave_way(solution.x)
                 why = f"{gave} yield: nothing satisfies them within the torque limits"
                 told.append(why if gave else "nothing yields, but the first answer was refused")
+            told += [f"{name} damped: its smallest singular value is {s:.2g}" for name, s in state.singular.items()]
             reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
         if missed >= MISSED_DEGRADED:
             good = 0

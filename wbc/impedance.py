@@ -25,6 +25,7 @@ from .observer import MomentumObserver, Observed, smoothing
 from .qp import Array, Rows
 from .reference import Reference, Sample
 from .robot import State
+from .singular import LEAST
 from .task import pose_errors
 from .wrench import VELOCITY_AXES
 
@@ -69,7 +70,9 @@ class Compliance:
         source: str = "measured",
         filter: float | None = None,
         observer: MomentumObserver | None = None,
+        singular: float = LEAST,
     ) -> None:
+        self.singular = singular
         self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
         self.split, self.source, self.filter, self.observer = error == "split", source, filter, observer
         if source not in SOURCES or (source == "observer") != (observer is not None):

@@ -19,6 +19,7 @@ from .pair import seen
 from .qp import Array, Rows
 from .reference import Reference
 from .robot import State
+from .singular import LEAST
 from .task import MotionTask
 from .wrench import VELOCITY_AXES
 
@@ -42,8 +43,9 @@ class RelativeTask(MotionTask):
         kd: Any = 20.0,
         axes: tuple[str, ...] = VELOCITY_AXES,
         error: str = "log",
+        singular: float = LEAST,
     ) -> None:
-        super().__init__(frame, reference, kp, kd, axes, error=error)
+        super().__init__(frame, reference, kp, kd, axes, error=error, singular=singular)
         self.to = to
 
     def seen(self, state: State) -> Frame:

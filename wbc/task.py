@@ -24,6 +24,7 @@ from .frame import Frame
 from .qp import Array, Rows
 from .reference import Reference, Sample
 from .robot import State
+from .singular import LEAST
 from .wrench import VELOCITY_AXES
 
 _ORDER = np.array([3, 4, 5, 0, 1, 2])
@@ -64,6 +65,7 @@ class MotionTask:
     matrices; `axes`: names from wx ... vz, or with `contact` the free motion of that contact. `law="book"` tracks the
     raw y on all axes that the robot has, in the metric M_C, as the book prints it; otherwise y is only asked of the
     free axes, where the constraint says A y = -Adot V. `error`: "log", or "split" for straight lines (`pose_errors`).
+    `singular`: the singular value below which the task is damped (`wbc.singular`), 0 for none.
     """
 
     def __init__(
@@ -77,8 +79,10 @@ class MotionTask:
         law: str = "compensated",
         robot_axes: tuple[int, ...] = (0, 1, 2, 3, 4, 5),
         error: str = "log",
+        singular: float = LEAST,
     ) -> None:
         self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
+        self.singular = singular
         self.split = error == "split"
         self.raw = law == "book" and contact is not None  # tracks the raw y of the book on all axes
         self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
