@@ -17,6 +17,7 @@ from .errors import NameNotFound, StateError, WbcError, did_you_mean
 from .footing import Ground
 from .handover import Start, hand_over
 from .impedance import NEW, Felt
+from .jump import kept, lead_in
 from .kernels import torque
 from .ladder import GOOD_TICKS, HOLD_DAMPING, HOLD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status, decayed, fewest
 from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
@@ -73,6 +74,7 @@ class Memory(NamedTuple):
     felt: Mapping[str, Felt] = _NONE  # what tasks know of a push
     grounds: Mapping[str, Ground] = _NONE  # where feet that measure their force have found the floor
     stale: int = 0  # ticks in a row whose time did not go on
+    followed: Mapping[str, Array] = _NONE  # of motions and forces, so that none jumps (`jump`)
 
 
 class Tick(NamedTuple):
@@ -302,6 +304,9 @@ class Controller:
             program = self._programs[memory.phase]
             tau_last = program.phase.torque.inside(tau_last)
         self.recalled = memory
+        past = 0.0 if memory.t is None else t - memory.t
+        followed, starts = lead_in(program, state, memory.followed, memory.starts, past, self.dt)
+        memory = memory._replace(followed=followed, starts=starts)
         state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
         if program.phase.compliant:
             memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
@@ -362,7 +367,7 @@ class Controller:
         felt = {name: memory.felt[name] for name in after.phase.compliant if name in memory.felt}
         return memory._replace(
             phase=index, phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH, why=why, felt=felt,
-            grounds=grounds,
+            grounds=grounds, followed=kept(memory.followed, before.phase, after, starts, state.t),
         )  # fmt: skip
 
     def _stop(self, q: Array, v: Array, change: Change) -> Output:
@@ -439,7 +444,7 @@ class Controller:
             if name in force:
                 loops[name] = force[name][1].advance(state, lam[name])
         found = workspace.active(solution.z)
-        names = found or program.pushing or state.singular
+        names = found or program.pushing or state.gave
         active = program.names(solution.z, found, state, tau_last, self.dt) if names else ()
         if dropped:  # they are told of as before, but carry nothing
             active = (*(f"{name}.dropped" for name in dropped), *active)
@@ -454,7 +459,7 @@ class Controller:
                 gave = program.gave_way(solution.x)
                 why = f"{gave} yield: nothing satisfies them within the torque limits"
                 told.append(why if gave else "nothing yields, but the first answer was refused")
-            told += [f"{name} damped: its smallest singular value is {s:.2g}" for name, s in state.singular.items()]
+            told += state.gave.values()
             reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
         if missed >= MISSED_DEGRADED:
             good = 0
@@ -471,7 +476,7 @@ class Controller:
         self._memory = Memory(
             t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
             state.targets, status, 0, good, memory.starts, memory.watch, memory.why, memory.felt, grounds,
-            memory.stale,
+            memory.stale, memory.followed,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)

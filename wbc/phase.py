@@ -5,9 +5,9 @@ A `Phase` places tasks with weights beside contacts and limits; a `Program` is i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -26,7 +26,7 @@ from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .relative import GazeTask
 from .robot import Robot, State, Terms
-from .singular import BACK, Threshold, ease, threshold
+from .singular import BACK, ease, threshold
 from .solver import ProxQP, Solution, Solver, answer
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .transition import Exit
@@ -88,6 +88,11 @@ class Phase:
     def compliant(self) -> dict[str, Compliance]:
         """Impedance and admittance tasks, by name."""
         return {name: task for name, task in self.tasks.items() if isinstance(task, Compliance)}
+
+    @cached_property
+    def following(self) -> dict[str, Any]:
+        """Tasks whose reference is led in where it jumps, by name."""
+        return {name: task for name, task in self.tasks.items() if getattr(task, "jump", None) is not None}
 
     @cached_property
     def feeling(self) -> dict[str, str]:
@@ -270,7 +275,8 @@ class Program:
             slack = {f"{rows.name} yield": rows.lo.size for rows in viable}
             self.yielding = Workspace(Variables(sizes | slack), [*hard, *map(_softened, viable)])
         self._without: dict[tuple[str, ...], Program] = {}
-        self._least = self._thresholds(state) if phase.damped else {}
+        again = partial(hold, phase=phase)
+        self.thresholds = {n: threshold(t, state, again) for n, t in self.above.items() if hasattr(t, "target")}
         self._back = (WholeBodyPosture if start.robot.base else PostureTask)(start.q, *BACK, start.robot.nu)
         self._rescue = ProxQP()  # of levels that the solver refuses
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
@@ -437,33 +443,19 @@ class Program:
         state.primary = (G, W := inertia_of_what_moves(K), K)
         return Rows("", {"vdot": G}, b, b, W)
 
-    def _thresholds(self, start: State) -> dict[str, Threshold]:
-        """Where the tasks are damped."""
-
-        def rows(task: Any) -> Callable[[State], Array]:
-            def at(state: State) -> Array:
-                if state is not start:
-                    hold(state, self.phase)
-                return np.concatenate([*(held.G for held in state.contacts.values()), task.target(state)[0]])
-
-            return at
-
-        found = {n: threshold(t, start, rows(t), self._first) for n, t in self.above.items() if hasattr(t, "target")}
-        return {name: each for name, each in found.items() if each is not None}
-
     def _eased(self, state: State, name: str, G: Array | None, b: Array, whole: bool = True) -> Array:
         """The target of a task's rows, damped near a singularity; `whole`: with the contacts' rows first."""
-        least = self._least.get(name)
-        if least is None or G is None:
+        law = self.thresholds.get(name)
+        if law is None or not law.least or G is None or not self.phase.damped:
             return b
         if whole:
-            told, value = ease(state, G, b, self._first, least, self._idle)
+            told, value = ease(state, G, b, self._first, law, self._idle)
         else:
             held, rhs = self._held(state)
-            told, value = ease(state, np.concatenate((held, G)), np.concatenate((rhs, b)), len(held), least, self._idle)
+            told, value = ease(state, np.concatenate((held, G)), np.concatenate((rhs, b)), len(held), law, self._idle)
         if value == np.inf:
             return b
-        state.singular[name] = value
+        state.gave[f"{name}.singular"] = f"{name} is damped: its smallest singular value is {value:.2g}"
         return told if whole else told[len(held) :]
 
     def _held(self, state: State) -> tuple[Array, Array]:
@@ -496,7 +488,7 @@ class Program:
             return []
         G = np.concatenate(stack)
         K = mobility(state, G)
-        W = inertia_of_what_moves(K) if state.singular else inertia(K)
+        W = inertia_of_what_moves(K) if state.gave else inertia(K)
         state.primary = (G, W, K)
         if self.motion or self.phase.compliant or not held:
             return []
@@ -509,7 +501,7 @@ class Program:
         """Names of active rows of the last problem, with which of two limits it is that binds."""
         names = [f"{name}.lifted" for name in self.pushing if state.contacts[name].lifted]
         names += [f"{name}.{state.loops[name].cut}" for name in self.force if state.loops[name].cut]
-        names += [f"{name}.singular" for name in state.singular]
+        names += state.gave
         names += [self.name(self.last.labels[i], bool(z[i] > 0.0), state, tau_last, dt) for i in found]
         return tuple(dict.fromkeys(names)) if self.pushing else tuple(names)
 

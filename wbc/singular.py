@@ -1,7 +1,7 @@
 """Near a singularity a task asks only for what the robot can still do: damped along the directions that it loses.
 
-With the singular values s_i and left singular vectors u_i of a task's rows G in what the contacts leave free, the target
-b of G vdot = b gives way, for every s_i below s_0, along u_i to what happens without the task:
+With the singular values s_i and left singular vectors u_i of a task's rows G in what the contacts leave free, the
+target b of G vdot = b gives way, for every s_i below s_0, along u_i to what happens without the task:
 
     u_i' b  becomes  u_i' r + (s_i / s_0)^2 u_i' (b - r),      r = G vdot_c,
 
@@ -31,27 +31,36 @@ LOST = 1e-7  # of the largest: a direction that is none
 
 
 class Threshold(NamedTuple):
-    """s_0 of a task, and how many of its rows are independent at most: an arm in a plane has no more than three."""
+    """s_0 of a task, 0 for none, and how many of its rows are independent at most: of an arm in a plane three."""
 
     least: float
     rank: int
 
 
-def threshold(task: Any, start: State, rows: Callable[[State], Array], first: int) -> Threshold | None:
-    """Of a task whose rows `rows` gives at a state, those of the contacts first; None where it is not damped.
-
-    The law of the book is as it is printed.
-    """
-    least = getattr(task, "singular", 0.0)
-    if not least > 0.0 or getattr(task, "raw", False):
-        return None
-    G = rows(start)
+def threshold(task: Any, start: State, hold: Callable[[State], None]) -> Threshold:
+    """Of a task, at a state whose contacts are held, as `hold` does it. The law of the book is as it is printed."""
+    least = 0.0 if getattr(task, "raw", False) else getattr(task, "singular", 0.0)
+    G, first = rows(task, start)
     rank, wanted = _rank(G, first), min(len(G) - first, max(G.shape[1] - first, 0))
     rng = np.random.default_rng(0)
     for _ in range(3 if rank < wanted else 0):  # of a start that is singular, or a task of more than the robot has
         q = pin.integrate(start.robot.model, start.q, 0.1 * rng.uniform(-1.0, 1.0, start.v.size))
-        rank = max(rank, _rank(rows(State(start.terms, q, start.v)), first))
+        state = start.robot.state(q, start.v)
+        hold(state)
+        rank = max(rank, _rank(*rows(task, state)))
     return Threshold(float(least), rank)
+
+
+def rows(task: Any, state: State) -> tuple[Array, int]:
+    """Rows of the contacts, then of the task, and how many the first are."""
+    held = [each.G for each in state.contacts.values()]
+    return np.concatenate([*held, task.target(state)[0]]), sum(map(len, held))
+
+
+def smallest(task: Any, state: State, rank: int) -> float:
+    """The smallest of the `rank` largest singular values of a task's rows in what the contacts leave free."""
+    values = _values(*rows(task, state))
+    return float(np.sort(values)[values.size - rank]) if rank else np.inf
 
 
 def _rank(G: Array, first: int) -> int:
@@ -64,12 +73,6 @@ def _values(G: Array, first: int) -> Array:
     values, U = np.empty(r), np.empty((r, r))
     kernels.singular(G, first, np.inf, values, U)
     return values
-
-
-def smallest(G: Array, first: int, rank: int) -> float:
-    """The smallest of the `rank` largest singular values of the rows `first` and on in what the others leave free."""
-    values = _values(G, first)
-    return float(np.sort(values)[values.size - rank]) if rank else np.inf
 
 
 def ease(

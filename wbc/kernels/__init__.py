@@ -6,6 +6,7 @@ Plain loops over small dense arrays; the theory is told where they are called. S
 from .algebra import gauss, inverse, minimum, mobility, within
 from .contact import carried, demand, demands, edge, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
+from .jump import approach, jumped
 from .limit import braking_bounds, torque_window
 from .motion import carried_along, computed_torque, frames, log, point_target, pose_errors, relative, shift
 from .null_space import least_squares, root
@@ -19,6 +20,7 @@ __all__ = [
     "add_square",
     "advance",
     "angle",
+    "approach",
     "braking_bounds",
     "carried",
     "carried_along",
@@ -32,6 +34,7 @@ __all__ = [
     "gauss",
     "height",
     "inverse",
+    "jumped",
     "least_squares",
     "log",
     "minimum",

@@ -1,0 +1,91 @@
+"""What is followed never jumps: motions lead into a reference that does, forces go to theirs at a bounded rate.
+
+References and targets come from outside: from a function of one's own, from `targets`, or from a clock that goes on by
+more than a tick. A pose that is not where its own twist said a tick ago that it would be has jumped, and so has a twist
+that its acceleration does not explain; what was followed until then leads into it (`Lead`), with no step in pose, twist
+or acceleration. A reference that does not jump is followed as it is, to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+
+from .handover import Start
+from .kernels import approach, jumped
+from .lead import Lead
+from .phase import Phase, Program
+from .qp import Array
+from .robot import State
+
+LEAST = np.array([0.01, 0.05, 0.1, 0.5])  # [m], [rad], [m/s], [rad/s] between two ticks that make a jump
+TICKS = 2.0  # by which a clock may go on at once
+
+Followed = Mapping[str, Array]  # by task: (3, 8) poses and motions as of `kernels.jumped`, (k,) multipliers
+
+
+def lead_in(
+    program: Program, state: State, followed: Followed, starts: Mapping[str, Start], past: float, dt: float
+) -> tuple[dict[str, Array], Mapping[str, Start]]:
+    """What the tasks follow at this tick, and the starts of tasks, with those of jumps.
+
+    `past` [s] since the last tick, `dt` the tick. Fills in `state.starts`, `state.limited` and `state.gave`.
+    """
+    now: dict[str, Array] = {}
+    h = min(past, TICKS * dt)
+    for name, task in program.phase.following.items():
+        sample, told, last = task.followed(state), np.empty((3, 8)), followed.get(name)
+        if last is None:
+            last, least = told, LEAST * np.inf
+        else:
+            least = LEAST
+        if jumped(last, sample.R, sample.p, sample.motion, h, least, told):
+            begun = starts.get(name, Start())
+            lead = Lead.of(
+                state.t, *_expected(last, h), begun._replace(lead=None).sample(task.reference, state.t), task.jump
+            )
+            starts = {**starts, name: begun._replace(lead=lead)}
+            state.starts = program.named(starts)
+            sample = task.followed(state)
+            jumped(last, sample.R, sample.p, sample.motion, 0.0, LEAST, told)
+        now[name] = told
+    for name in program.phase.following if starts else ():
+        left = starts[name].lead.ends - state.t if name in starts and starts[name].lead is not None else 0.0
+        if left > 0.0:
+            state.gave[f"{name}.jump"] = f"the reference of {name} has jumped: it is led in within {left:.2g} s"
+    for contact, (name, task) in program.force.items():
+        target = task.desired(state)
+        last, reached = followed.get(name), np.empty(target.size)
+        if last is None or last.shape != target.shape:
+            now[name] = target
+        elif approach(last, target, task.rate, state.dt, reached):
+            now[name] = state.limited[contact] = reached
+            state.gave[f"{name}.jump"] = f"the target of {name} has jumped: it is followed at its rate"
+        else:
+            now[name] = target
+    return now, starts
+
+
+def _expected(last: Array, h: float) -> tuple[pin.SE3, Array]:
+    """The pose and the motion (6, 2), h [s] later."""
+    motion = np.concatenate((last[:, 4:6], last[:, 6:8]))
+    step = motion[:, 0] * h + motion[:, 1] * (0.5 * h * h)
+    motion[:, 0] += h * motion[:, 1]
+    return pin.SE3(last[:, :3].copy(), last[:, 3].copy()) * pin.exp6(pin.Motion(step[3:], step[:3])), motion
+
+
+def kept(followed: Followed, before: Phase, after: Program, starts: Mapping[str, Start], t: float) -> dict[str, Array]:
+    """What goes on from one phase to the next: of motions that do not begin now, of forces on contacts that were held.
+
+    `t` [s]: now, on the clock of `State.t`.
+    """
+    forces = {name: contact for contact, (name, _) in after.force.items()}
+
+    def goes_on(name: str) -> bool:
+        if name in forces:
+            return forces[name] in before.contacts
+        return name in after.phase.following and (name not in starts or starts[name].t != t)
+
+    return {name: told for name, told in followed.items() if goes_on(name)}
