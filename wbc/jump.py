@@ -20,7 +20,9 @@ from .phase import Phase, Program
 from .qp import Array
 from .robot import State
 
-LEAST = np.array([0.01, 0.05, 0.1, 0.5])  # [m], [rad], [m/s], [rad/s] between two ticks that make a jump
+LEAST = np.array([2e-3, 1e-2, 2e-2, 1e-1])  # [m], [rad], [m/s], [rad/s] between two ticks that make a jump
+NEVER = np.full(4, np.inf)
+_NOWHERE = np.zeros((3, 8))
 TICKS = 2.0  # by which a clock may go on at once
 
 Followed = Mapping[str, Array]  # by task: (3, 8) poses and motions as of `kernels.jumped`, (k,) multipliers
@@ -37,23 +39,19 @@ def lead_in(
     h = min(past, TICKS * dt)
     for name, task in program.phase.following.items():
         sample, told, last = task.followed(state), np.empty((3, 8)), followed.get(name)
-        if last is None:
-            last, least = told, LEAST * np.inf
-        else:
-            least = LEAST
+        least = NEVER if last is None else LEAST
+        last = _NOWHERE if last is None else last
         if jumped(last, sample.R, sample.p, sample.motion, h, least, told):
             begun = starts.get(name, Start())
-            lead = Lead.of(
-                state.t, *_expected(last, h), begun._replace(lead=None).sample(task.reference, state.t), task.jump
-            )
-            starts = {**starts, name: begun._replace(lead=lead)}
+            target = begun._replace(lead=None).sample(task.reference, state.t)
+            starts = {**starts, name: begun._replace(lead=Lead.of(state.t, *_expected(last, h), target, task.jump))}
             state.starts = program.named(starts)
             sample = task.followed(state)
-            jumped(last, sample.R, sample.p, sample.motion, 0.0, LEAST, told)
+            jumped(last, sample.R, sample.p, sample.motion, h, NEVER, told)
         now[name] = told
-    for name in program.phase.following if starts else ():
-        left = starts[name].lead.ends - state.t if name in starts and starts[name].lead is not None else 0.0
-        if left > 0.0:
+        lead = starts[name].lead if name in starts else None
+        if lead is not None and state.t < lead.ends:
+            left = lead.ends - state.t
             state.gave[f"{name}.jump"] = f"the reference of {name} has jumped: it is led in within {left:.2g} s"
     for contact, (name, task) in program.force.items():
         target = task.desired(state)

@@ -30,7 +30,7 @@ from .wrench import VELOCITY_AXES
 _ORDER = np.array([3, 4, 5, 0, 1, 2])
 _NOTHING: Array = np.zeros(0)
 SPEEDS = (0.1, 0.5)  # [m/s], [rad/s] at which a reference that jumps is led in
-RATE = 1000.0  # [N/s] at which the target of a force is followed
+RATE = 500.0  # [N/s] at which the target of a force is followed
 
 
 class Task(Protocol):

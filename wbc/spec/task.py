@@ -63,7 +63,7 @@ class ForceTask(Placed):
     damping: Gain = Field(default=0.0, description="damping along the constrained axes [N m s/rad, N s/m]")
     filter: Positive | None = Field(default=None, description="cut-off of the low-pass on the measured wrench [Hz]")
     rate: Rates = Field(
-        default=1000.0,
+        default=500.0,
         description="bound on how fast the target is followed; a number holds for forces [N/s], and a "
         "tenth of it for moments [N m/s]",
     )
