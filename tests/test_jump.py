@@ -258,11 +258,11 @@ def pressed(seconds, rate=RATE, target=-110.0, at=0.3, clock=lambda tick: 1e-3 *
 
 def test_a_force_that_jumps_by_100_N(record_property):
     forces, tau, outs, _ = pressed(1.4)
-    rate = float(np.abs(np.diff(tau, axis=0)).max() / 1e-3)
+    rate = float(np.abs(np.diff(tau[290:], axis=0)).max() / 1e-3)
     beyond = float(-forces.min() - 110.0)
     record_property("rate, beyond, end", (rate, beyond, float(forces[-1])))
-    assert rate < 1000.0
-    assert not any(name.startswith("torque_rate") for out in outs for name in out.active)
+    assert rate <= JUMP["force rate"]
+    assert not any(name.startswith("torque_rate") for out in outs[290:] for name in out.active)
     assert "press.jump" in outs[320].active
     assert beyond < JUMP["force"]
     assert forces[-1] == pytest.approx(-110.0, abs=1.0)
@@ -271,10 +271,10 @@ def test_a_force_that_jumps_by_100_N(record_property):
 
 def test_as_it_comes_the_torque_steps_for_a_force_too(record_property):
     _, tau, outs, _ = pressed(0.36, rate=1e9)
-    rate = float(np.abs(np.diff(tau, axis=0)).max() / 1e-3)
+    rate = float(np.abs(np.diff(tau[290:], axis=0)).max() / 1e-3)
     record_property("rate", rate)
     assert rate > 999.0
-    assert any(name.startswith("torque_rate") for out in outs for name in out.active)
+    assert any(name.startswith("torque_rate") for out in outs[290:] for name in out.active)
 
 
 # --- a clock that goes on by more than a tick ---------------------------------------------------------------------------
@@ -388,7 +388,9 @@ def test_a_centre_of_mass_of_go2_that_is_to_be_half_a_metre_away(guarded, record
     if not guarded:
         assert rate > 2.0 * JUMP["rate"]
         return
-    left = float(np.linalg.norm(controller.phase.tasks["balance"].desired(controller.state)[0] - com(controller.state)[0]))
+    left = float(
+        np.linalg.norm(controller.phase.tasks["balance"].desired(controller.state)[0] - com(controller.state)[0])
+    )
     record_property("left", left)
     assert rate <= JUMP["rate"]
     assert {out.status for out in outs} <= {Status.OK, Status.LIMITED}
