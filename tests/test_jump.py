@@ -349,7 +349,7 @@ def test_what_does_not_jump_is_followed_to_the_bit():
     assert taus[0] == taus[1]
 
 
-# --- robots that stand --------------------------------------------------------------------------------------------------
+# --- robots that stand -----------------------------------------------------------------------------------------------
 
 
 def stood(name, change, seconds):

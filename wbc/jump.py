@@ -53,16 +53,14 @@ def lead_in(
         if lead is not None and state.t < lead.ends:
             left = lead.ends - state.t
             state.gave[f"{name}.jump"] = f"the reference of {name} has jumped: it is led in within {left:.2g} s"
-    for contact, (name, task) in program.force.items():
-        target = task.desired(state)
-        last, reached = followed.get(name), np.empty(target.size)
-        if last is None or last.shape != target.shape:
-            now[name] = target
-        elif approach(last, target, task.rate, state.dt, reached):
-            now[name] = state.limited[contact] = reached
-            state.gave[f"{name}.jump"] = f"the target of {name} has jumped: it is followed at its rate"
-        else:
-            now[name] = target
+    for contact, (name, force) in program.force.items():
+        wanted, before = force.desired(state), followed.get(name)
+        reached = np.empty(wanted.size)
+        if before is not None and before.shape == wanted.shape:
+            if approach(before, wanted, force.rate, state.dt, reached):
+                state.limited[contact] = wanted = reached
+                state.gave[f"{name}.jump"] = f"the target of {name} has jumped: it is followed at its rate"
+        now[name] = wanted
     return now, starts
 
 
