@@ -2,6 +2,7 @@
 
 import math
 from array import array
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -34,7 +35,7 @@ def still(T):
 def differences(samples, dt):
     """Largest steps from one sample to the next, of pose, twist and acceleration beyond what these explain."""
     worst = np.zeros(3)
-    for a, b in zip(samples, samples[1:], strict=False):
+    for a, b in pairwise(samples):
         mean = 0.5 * (a.V + b.V) * dt
         step = pin.log6(a.T.actInv(b.T)).vector[[3, 4, 5, 0, 1, 2]] - mean
         worst = np.maximum(worst, [np.abs(step).max(), np.abs(b.V - a.V).max(), np.abs(b.Vdot - a.Vdot).max()])
@@ -108,7 +109,7 @@ def test_a_number_goes_to_its_target_at_its_rate():
     np.testing.assert_array_equal(out, [1.0, 0.0, 2.05])
 
 
-# --- an arm in the air: distances [m] and turns [rad] of the target at 0.1 s --------------------------------------------
+# --- an arm in the air: distances [m] and turns [rad] of the target at 0.1 s -----------------------------------------
 
 JUMPS = {
     "0.5 m": ((0.0, 0.5, 0.0), 0.0),
@@ -230,7 +231,7 @@ def test_targets_that_jump_again_and_again_are_followed(bare_panda, record_prope
     assert flown.rate <= 100.0
 
 
-# --- a force of 10 N that is to be 110 N, pressed on the board --------------------------------------------------------
+# --- a force of 10 N that is to be 110 N, pressed on the board -------------------------------------------------------
 
 
 def pressed(seconds, rate=RATE, target=-110.0, at=0.3, clock=lambda tick: 1e-3 * tick, missed=None):
@@ -277,7 +278,7 @@ def test_as_it_comes_the_torque_steps_for_a_force_too(record_property):
     assert any(name.startswith("torque_rate") for out in outs[290:] for name in out.active)
 
 
-# --- a clock that goes on by more than a tick ---------------------------------------------------------------------------
+# --- a clock that goes on by more than a tick ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("gap", [0.004, 0.1, 1.7])
@@ -298,7 +299,7 @@ def test_a_clock_that_jumps_moves_nothing_by_a_step(gap, record_property):
     assert ("draw.jump" in outs[601].active) == (gap > 0.01)
 
 
-# --- memory: saved, restored, replayed ----------------------------------------------------------------------------------
+# --- memory: saved, restored, replayed -------------------------------------------------------------------------------
 
 
 def test_what_is_led_in_goes_on_from_a_memory_and_from_a_tape(bare_panda):

@@ -56,10 +56,10 @@ def lead_in(
     for contact, (name, force) in program.force.items():
         wanted, before = force.desired(state), followed.get(name)
         reached = np.empty(wanted.size)
-        if before is not None and before.shape == wanted.shape:
-            if approach(before, wanted, force.rate, state.dt, reached):
-                state.limited[contact] = wanted = reached
-                state.gave[f"{name}.jump"] = f"the target of {name} has jumped: it is followed at its rate"
+        known = before if before is not None and before.shape == wanted.shape else wanted
+        if approach(known, wanted, force.rate, state.dt, reached):
+            state.limited[contact] = wanted = reached
+            state.gave[f"{name}.jump"] = f"the target of {name} has jumped: it is followed at its rate"
         now[name] = wanted
     return now, starts
 
