@@ -268,10 +268,10 @@ def _unmeasured(
     motions = [name for name, task in spec.tasks.items() if isinstance(task, MotionTask | RelativeTask)]
     known = [f"{name}.{each}" for name in spec.contacts for each in (*WRENCH_AXES, "distance")]
     known += [f"{name}.slip" for name in contacts]
-    known += [f"{name}.{each}" for name in motions if name in tasks for each in ("done", "error", "speed")]
+    known += [f"{name}.{each}" for name in motions if name in tasks for each in ("done", "error", "singular", "speed")]
     if quantity in known or any((section, subject) in left_out for section in ("contacts", "tasks")):
         return None
-    if subject in motions and subject not in tasks and what in ("done", "error", "speed"):
+    if subject in motions and subject not in tasks and what in ("done", "error", "singular", "speed"):
         return f"task {subject!r} is not active in this phase; expected one of its own"
     if subject in spec.contacts and subject not in contacts and what == "slip":
         return f"contact {subject!r} is not active in this phase; expected one of its own"
