@@ -19,7 +19,7 @@ from .handover import Start, hand_over
 from .impedance import NEW, Felt
 from .kernels import torque
 from .ladder import GOOD_TICKS, HOLD_DAMPING, HOLD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status, decayed, fewest
-from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
+from .phase import Phase, Program, carry, carry_felt, hold, place, recall, settle_posture
 from .qp import UNCERTIFIED, Array, Certificate, Workspace
 from .robot import Robot, State, Terms
 from .solver import DEFAULT, Solution, Solver, make
@@ -291,6 +291,8 @@ class Controller:
                 tau_last = program.phase.torque.inside(tau_last)
         change = None
         if program.phase.exit is not None:
+            if program.phase.tanks:
+                recall(state, program.phase, memory.loops, memory.felt)
             watch, change = program.phase.exit.step(memory.watch, t - memory.phase_start, state)
             memory = memory._replace(watch=watch)
         if change is None:
@@ -439,7 +441,8 @@ class Controller:
             if name in force:
                 loops[name] = force[name][1].advance(state, lam[name])
         found = workspace.active(solution.z)
-        active = program.names(solution.z, found, state, tau_last, self.dt) if found or program.pushing else ()
+        names = found or program.pushing or program.phase.tanks
+        active = program.names(solution.z, found, state, tau_last, self.dt) if names else ()
         if dropped:  # they are told of as before, but carry nothing
             active = (*(f"{name}.dropped" for name in dropped), *active)
             hold(state, self._programs[memory.phase].phase)

@@ -116,7 +116,7 @@ class Bounded:
             held = 0.5 * float(x.dot(K.dot(x)))
             share = min(1.0, dt / LET_GO) * (1.0 - self._open(energy))
             return energy + share * held, (1.0 - share) * K, True
-        if K is wanted or (K == wanted).all():
+        if K is wanted or (wanted == K).all():
             return energy, wanted, False
         cost = 0.5 * float(x.dot((wanted - K).dot(x)))
         if cost <= 0.0:

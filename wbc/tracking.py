@@ -22,6 +22,7 @@ from .qp import Array
 from .reference import Reference, Scalar, constant
 from .relative import GazeTask, RelativeTask
 from .robot import Robot
+from .tank import Bounded
 from .task import ForceTask, MotionTask, PostureTask, Task
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
@@ -133,7 +134,22 @@ class Tracking:
         if source == "observer":
             assert cutoff is not None
             observer, cutoff = MomentumObserver(self.geometry.robot, cutoff), None
-        place = (frame, self.references[name], M, B, K, axes, entry.contact, entry.error, source, cutoff, observer)
+        K_scale = None if entry.K_scale is None else self.geometry.profile(entry.K_scale)
+        varied = (K_scale, self._tank(entry.tank))
+        place = (
+            frame,
+            self.references[name],
+            M,
+            B,
+            K,
+            axes,
+            entry.contact,
+            entry.error,
+            source,
+            cutoff,
+            observer,
+            *varied,
+        )
         if isinstance(entry, specs.ImpedanceTask):
             return ImpedanceTask(*place, compensate=entry.compensate)
         kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
@@ -149,9 +165,13 @@ class Tracking:
         kp, ki, damping = (self._gain(entry, name, key, contact.axes) for key in ("kp", "ki", "damping"))
         limit = math.inf if entry.integral_limit is None else entry.integral_limit
         wrench = not isinstance(contact, AxesContact | SphereContact)  # their multipliers have names
-        return ForceTask(
-            entry.contact, contact, target, kp, ki, damping, entry.filter, limit, self.geometry.spec.law, wrench
-        )
+        law, tank = self.geometry.spec.law, self._tank(entry.tank)
+        return ForceTask(entry.contact, contact, target, kp, ki, damping, entry.filter, limit, law, wrench, tank)
+
+    def _tank(self, entry: specs.Tank | float | None) -> Bounded | None:
+        if not isinstance(entry, specs.Tank):
+            return None if entry is None else Bounded(entry)
+        return Bounded(entry.energy, entry.most, math.ceil(entry.delay * self.geometry.spec.rate - 1e-9))
 
     def _force_target(self, name: str, contact: Contact) -> Any:
         """lambda_d (k,) of a table, else the wrench (6,), or a function of time. Raises WrenchError for what the

@@ -29,6 +29,7 @@ from .task import (
     Over,
     PostureTask,
     RelativeTask,
+    Tank,
     Task,
     TorqueTask,
 )
@@ -56,6 +57,6 @@ __all__ += [
     "Task",
     "Unilateral",
 ]
-__all__ += ["ComTask", "DistributionTask", "GazeTask", "MomentumTask", "Over", "RelativeTask", "TorqueTask"]
+__all__ += ["ComTask", "DistributionTask", "GazeTask", "MomentumTask", "Over", "RelativeTask", "Tank", "TorqueTask"]
 __all__ += ["AdmittanceTask", "Bias", "ImpedanceTask", "Move", "Push", "Sine", "Wave"]
 __all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until", "Within"]
