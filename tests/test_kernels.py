@@ -107,9 +107,6 @@ def test_feedback_sense_advance_torque(rng, layout):
     kernels.advance(command, command, *layout(waiting, goes), 0.1, False, grown, missing)
     np.testing.assert_allclose(grown, [2.0, -1.9, 0.0, 0.0])  # only towards zero, and no further
 
-    forces, move = rng.normal(size=(4, 3)), rng.normal(size=3)
-    assert kernels.costliest(*layout(forces, move)) == pytest.approx((forces @ move).max(), rel=1e-13)
-
     A, x, h = rng.normal(size=(3, 4)), rng.normal(size=4), rng.normal(size=3)
     tau, value = np.empty(3), A @ x + h
     lo, hi = np.array([-9.0, value[1] + 0.1, -9.0]), np.array([9.0, 9.0, value[2] - 0.1])

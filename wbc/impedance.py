@@ -126,10 +126,10 @@ class Compliance:
             return self.K
         return self.K_scale(state.since(self))[0] * self.K
 
-    def passes(self, state: State) -> tuple[Array, float]:
-        """(s, s) the stiffness that acts, and what share of the push is answered."""
+    def passes(self, state: State) -> tuple[Array, float, float]:
+        """(s, s) the stiffness that acts, what share of the push is answered, and how the motion is braked [1/s]."""
         tank = state.felt.get(self, NEW).tank
-        return (self.wanted(state), 1.0) if tank is None else (tank.K, tank.valve)
+        return (self.wanted(state), 1.0, 0.0) if tank is None else (tank.K, tank.valve, tank.brake)
 
     def fill(self, state: State, felt: Felt, last: Felt, T: pin.SE3, V: Array, late: bool) -> Felt:
         """The tank at a tick, of a mass at T that moves with V (6,)."""
@@ -141,7 +141,8 @@ class Compliance:
         rate = S.dot(V_e) if late else S.dot(self.errors(frame.T, frame.V, desired)[1])
         known = self.source in ("measured", "observer") and not self.massless and felt.F is not None
         tank = self.tank.comply(
-            last.tank, S.dot(X_e), self.wanted(state), self.B.dot(S.dot(V_e)), self.push(state) if known else None,
+            last.tank, S.dot(X_e), S.dot(V_e), self.wanted(state), self.B,
+            inertia(self.mobility(state)) if self.massless else self.M, self.push(state) if known else None,
             -state.dt * rate, state.dt, late,
         )  # fmt: skip
         state.felt[self] = felt = felt._replace(tank=tank)
@@ -189,8 +190,10 @@ class ImpedanceTask(Compliance):
     def acceleration(self, state: State) -> Array:
         frame, S = state.frame(self.frame), self.selection(state)
         X_e, V_e, ahead = self.errors(frame.T, frame.V, self.desired(state))
-        K, share = self.passes(state)
+        K, share, brake = self.passes(state)
         ahead, spring = S.dot(ahead), self.B.dot(S.dot(V_e)) + K.dot(S.dot(X_e))
+        if brake:
+            ahead = ahead + brake * S.dot(V_e)
         if self.massless:
             return np.asarray(ahead + self.mobility(state).dot(spring))
         if self.source != "acceleration":
@@ -228,10 +231,12 @@ class AdmittanceTask(Compliance):
         if not self.printed and last.T is not None and last.motion is not None:
             T, V = self._moved(state, last.T, last.motion)
         felt = self.fill(state, felt, last, T, V, late=self.printed)
-        K, share = self.passes(state)
+        K, share, brake = self.passes(state)
         X_e, V_e, ahead = self.errors(T, V, self.desired(state))
         spring = self.B.dot(S.dot(V_e)) + K.dot(S.dot(X_e))
         along = S.dot(ahead) + self._inverse.dot(spring + share * self.push(state))
+        if brake:
+            along = along + brake * S.dot(V_e)
         motion = np.column_stack((V, ahead + self.lift(state).dot(along - S.dot(ahead))))
         return felt._replace(T=T.homogeneous, motion=motion)
 

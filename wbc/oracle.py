@@ -199,6 +199,8 @@ def _compliance(
     X_e, V_e, ahead = (S @ part for part in _errors(task, d.T, d.V, task.desired(state)))
     f_ext = np.zeros(len(S)) if felt.F is None else -np.linalg.pinv(S).T @ felt.F
     K, share = (task.wanted(state), 1.0) if felt.tank is None else (felt.tank.K, felt.tank.valve)
+    if felt.tank is not None:
+        ahead = ahead + felt.tank.brake * V_e
     if isinstance(task, AdmittanceTask) and not task.printed:
         assert felt.T is not None
         assert felt.motion is not None

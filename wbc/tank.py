@@ -2,48 +2,59 @@
 
 A spring of constant stiffness, a damper, a force against a wall at rest bring none in; a force that something gives way
 to, a spring that is made stiffer while it is bent, an answer that comes late do. A tank pays for that, and is filled by
-what dissipates, up to `most` (Ferraguti, Secchi and Fantuzzi 2013; Franchi and Schindlbeck with Haddadin 2015). Over a
-tick in which a task moved by dx along its axes while it pressed with f,
+what dissipates, up to `most` (Ferraguti, Secchi and Fantuzzi 2013; Schindlbeck and Haddadin 2015). Over a tick in which
+a task moved by dx along its axes while it pressed with f,
 
     E+ = min(E - f'dx - (U+ - U), most),     U = x'K x / 2 of its spring, where it has one
 
-is exact, for dx is what was measured, not v dt of a prediction. Three things keep E above zero:
+is exact, for dx is what was measured, not v dt of a prediction. Where a wrench moves a mass, the same wrench has brought
+in what the frame went under it. What keeps E above zero:
 
 - stiffness is paid before it acts, x'(K+ - K) x / 2 for K+ at the pose of the tick: what cannot be paid waits, and what
   becomes softer gives back;
-- below `RESERVE` of the first filling the valve closes in proportion, on a force and on the push that is answered;
-- there a spring that still costs is let go, and gives back what it holds.
+- a force is not larger than can be paid if all that it presses on gives way, p'v + p'W p / 2 for the momentum p that is
+  under way, a spring not stiffer than its lag can be paid, v'K v d^2 for a delay d (both `AHEAD` times);
+- below `RESERVE` of the first filling the valve closes in proportion, on forces and on the push that is answered, what
+  still costs is let go, and the motion is braked.
 
-A torque that acts late, or a wrench that is measured late, costs what this sum does not see. So the dearest of the last
-`ticks` forces is charged, or the least of what was got for the wrench, which pays for any delay up to that many ticks.
+A torque that acts late, or a wrench that is measured late, costs what this sum does not see. So there is a sum for each
+delay up to `ticks`, which pairs the way of a tick with the force of so many ticks ago, and the least of them counts: no
+constant delay up to that one costs more.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from .errors import GainError
-from .kernels import costliest
 from .qp import Array
 
 RESERVE = 0.1  # of the first filling: below, the valve closes
 LET_GO = 0.01  # [s] in which a spring that costs gives back what it holds
-AHEAD = 2.0  # the valve leaves this many times what the forces under way cost at the speed of the tick
+BRAKE = 0.01  # [s] in which a motion is braked, or four times the delay
+AHEAD = 3.0  # times what is under way counts as spent
 _NOTHING: Array = np.zeros(0)
 
 
 class Tank(NamedTuple):
     """The memory of a tank, a value. Of a force only the first four are used."""
 
-    energy: float  # [J]
+    sums: Array  # (a, b) [J] for each delay of the torque, and of the wrench
     valve: float = 1.0  # what it lets pass [1]
     limited: bool = False  # whether the task yields something
-    forces: Array = _NOTHING  # (n, s) along the axes, newest first [N, N m]
-    moves: Array = _NOTHING  # (n, s) of the frame in the last ticks, newest first [m, rad]
+    forces: Array = _NOTHING  # (a, s) along the axes, newest first [N, N m]
+    moves: Array = _NOTHING  # (b, s) of the frame in the last ticks, newest first [m, rad]
     x: Array = _NOTHING  # (s,) pose error [m, rad]
     K: Array = _NOTHING  # (s, s) stiffness as it acts [N/m, N m/rad]
+    brake: float = 0.0  # how fast it takes the motion against the reference away [1/s]
+
+    @property
+    def energy(self) -> float:
+        """What is surely left [J]."""
+        return float(self.sums.min())
 
 
 class Bounded:
@@ -59,73 +70,103 @@ class Bounded:
     def _open(self, energy: float) -> float:
         return min(max(energy / self._reserve, 0.0), 1.0)
 
-    def _settled(self, energy: float) -> float:
-        return energy if energy < self.most else self.most
-
     # --- a force, along axes on which something may give way ---
 
-    def press(self, tank: Tank | None, driven: Array, rate: Array, dt: float) -> Tank:
+    def press(self, tank: Tank | None, driven: Array, rate: Array, W: Array, dt: float) -> Tank:
         """The tank of a tick before the force `driven` (s,) that would act, damping aside, at the `rate` (s,) of the
-        axes. That rate is the mean one of the last tick but for half of what it changed, and noise of it cannot have
-        been in the forces of then."""
+        axes, whose mobility is W (s, s). That rate is the mean one of the last tick but for half of what it changed,
+        and noise of it cannot have been in the forces of then."""
+        rows = self.ticks + 1
         if tank is None:
-            return Tank(self.energy, forces=np.zeros((self.ticks + 1, rate.size)))
-        energy = self._settled(tank.energy - dt * costliest(tank.forces, rate))
-        dear = max(costliest(tank.forces, rate), float(driven.dot(rate)))
-        cost = AHEAD * (self.ticks + 1) * dt * dear
-        valve = self._open(energy)
-        if cost > energy:
-            valve = min(valve, max(energy / cost, 0.0))
-        return tank._replace(energy=energy, valve=valve, limited=valve < 1.0)
+            tank = Tank(np.full((rows, 1), self.energy), forces=np.zeros((rows, rate.size)))
+        power = tank.forces.dot(rate)
+        sums = np.minimum(tank.sums - dt * power[:, None], self.most)
+        energy, span = float(sums.min()), rows * dt
+        first = span * max(float(power.max()), float(driven.dot(rate)), 0.0)
+        second = 0.5 * span * span * float(driven.dot(W.dot(driven)))
+        valve = min(self._open(energy), _affordable(first, second, energy / AHEAD))
+        return tank._replace(sums=sums, valve=valve, limited=valve < 1.0)
 
     # --- a spring and damper, and the push that moves it ---
 
     def comply(
-        self, tank: Tank | None, x: Array, wanted: Array, damping: Array, push: Array | None, move: Array, dt: float,
-        late: bool,
+        self, tank: Tank | None, x: Array, V: Array, wanted: Array, B: Array, M: Array, push: Array | None,
+        move: Array, dt: float, late: bool, lag: float = 0.0,
     ) -> Tank:  # fmt: skip
-        """The tank of a tick, of a mass at the pose error x (s,) whose spring is `wanted` to have the stiffness (s, s).
+        """The tank of a tick, of a mass M (s, s) at the errors x, V (s,) of pose and twist, with the damping B and a
+        spring that is `wanted` to have the stiffness (s, s).
 
-        `damping` (s,) is the force beside the spring, `push` (s,) what is felt to push, `move` (s,) what the frame has
-        gone in the last tick; `late`: whether the mass is the arm, which the motors move after a delay.
+        `push` (s,) is what is felt to push, `move` (s,) what the frame has gone in the last tick; `late`: whether the
+        mass is the arm, which the motors move after a delay; `lag` [s] with which the frame follows it.
         """
-        size = x.size
-        if tank is None or tank.x.size != size:
-            late_forces = np.zeros((self.ticks + 1 if late else 1, size))
-            tank = Tank(self.energy, forces=late_forces, moves=np.zeros((self.ticks + 1, size)), x=x, K=wanted)
-        K, went, valve = tank.K, tank.x - x, 1.0
-        spent = costliest(tank.forces, went) + 0.5 * float(x.dot(K.dot(x)) - tank.x.dot(K.dot(tank.x)))
-        moves = tank.moves
+        if tank is None or tank.x.size != x.size:
+            tank = self._filled(x, wanted, late, push is not None)
+        K, went, moves = tank.K, tank.x - x, tank.moves
+        spent = tank.forces.dot(went)[:, None] + 0.5 * float(x.dot(K.dot(x)) - tank.x.dot(K.dot(tank.x)))
         if push is not None:
             moves = _newest(move, moves)
-            spent += costliest(-moves, push)  # the push was felt while the frame went one of these ways
-        energy = self._settled(tank.energy - spent)
-        energy, K, limited = self._stiffened(energy, K, wanted, x, spent, dt)
-        force = K.dot(x) + damping
+            spent = spent - moves.dot(push)  # the push was felt while the frame went one of these ways
+        sums = np.minimum(tank.sums - spent, self.most)
+        ahead = AHEAD * (_under_way(tank.forces, x, V, K, M, dt) + _given_away(moves, push, lag, dt))
+        given, K, limited = self._stiffened(float(sums.min()) - ahead, K, wanted, x, dt)
+        if given:
+            sums = np.minimum(sums + given, self.most)
+        valve, brake = self._open(float(sums.min()) - ahead), 0.0
+        force = K.dot(x) + B.dot(V)
+        if valve < 1.0:
+            limited, brake = True, (1.0 - valve) / max(BRAKE, 4.0 * len(tank.forces) * dt)
+            force = force + brake * M.dot(V)
         if push is not None:
-            valve = self._open(energy)
-            limited = limited or valve < 1.0
             force = force + valve * push
-        return Tank(energy, valve, limited, _newest(force, tank.forces), moves, x, K)
+        return Tank(sums, valve, limited, _newest(force, tank.forces), moves, x, K, brake)
 
-    def _stiffened(
-        self, energy: float, K: Array, wanted: Array, x: Array, spent: float, dt: float
-    ) -> tuple[float, Array, bool]:
-        """The energy and the stiffness after a step towards the one that is wanted, and whether it falls short."""
-        if energy < self._reserve and spent > 0.0:  # it costs as it is
-            held = 0.5 * float(x.dot(K.dot(x)))
-            share = min(1.0, dt / LET_GO) * (1.0 - self._open(energy))
-            return energy + share * held, (1.0 - share) * K, True
+    def _filled(self, x: Array, K: Array, late: bool, pushed: bool) -> Tank:
+        rows = self.ticks + 1
+        shape = (rows if late else 1, rows if pushed else 1)
+        forces, moves = (np.zeros((n, x.size)) for n in shape)
+        return Tank(np.full(shape, self.energy), forces=forces, moves=moves, x=x, K=K)
+
+    def _stiffened(self, energy: float, K: Array, wanted: Array, x: Array, dt: float) -> tuple[float, Array, bool]:
+        """What a step towards the stiffness that is wanted gives to the tank [J], the stiffness after it, and whether
+        it falls short."""
+        shut = 1.0 - self._open(energy)
+        if shut:
+            share = shut * min(1.0, dt / LET_GO)
+            return 0.5 * share * float(x.dot(K.dot(x))), (1.0 - share) * K, True
         if K is wanted or (wanted == K).all():
-            return energy, wanted, False
+            return 0.0, wanted, False
         cost = 0.5 * float(x.dot((wanted - K).dot(x)))
         if cost <= 0.0:
-            return self._settled(energy - cost), wanted, False
+            return -cost, wanted, False
         share = (energy - self._reserve) / cost
         if share >= 1.0:
-            return energy - cost, wanted, False
+            return -cost, wanted, False
         share = max(share, 0.0)
-        return energy - share * cost, K + share * (wanted - K), True
+        return -share * cost, K + share * (wanted - K), True
+
+
+def _under_way(forces: Array, x: Array, V: Array, K: Array, M: Array, dt: float) -> float:
+    """What forces (n, s) under way will have cost when the last of them has acted, where nothing else does [J]."""
+    if len(forces) == 1:
+        return 0.0
+    p = dt * forces.sum(axis=0)  # [N s]
+    rate = 0.5 * np.linalg.solve(M, p) - V
+    then = x - len(forces) * dt * rate
+    return max(0.0, float(p.dot(rate) + 0.5 * (then.dot(K.dot(then)) - x.dot(K.dot(x)))))
+
+
+def _given_away(moves: Array, push: Array | None, lag: float, dt: float) -> float:
+    """What is given to who pushes until a frame that moves has come to rest, `lag` [s] after it is told to [J]."""
+    return 0.0 if push is None else max(0.0, -(len(moves) + lag / dt) * float(push.dot(moves[0])))
+
+
+def _affordable(first: float, second: float, energy: float) -> float:
+    """The largest s <= 1 with first s + second s^2 <= energy, coefficients of at least 0."""
+    if energy <= 0.0:
+        return 1.0 if first <= 0.0 and second <= 0.0 else 0.0
+    if first + second <= energy:
+        return 1.0
+    return 2.0 * energy / (first + math.sqrt(first * first + 4.0 * second * energy))
 
 
 def _newest(row: Array, rows: Array) -> Array:

@@ -335,7 +335,7 @@ class ForceTask:
             kernels.feedback(self._K, error, integral, command)
         tank = None
         if self.tank is not None:
-            tank = self.tank.press(state.loops[self.contact].tank, command, held.slip, state.dt)
+            tank = self.tank.press(state.loops[self.contact].tank, command, held.slip, metric, state.dt)
             shut = (1.0 - tank.valve) * command
         if self._brakes is not None:
             kernels.feedback(self._brakes, held.slip, _NOTHING, command)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from .compiled import NOTHING, TRUTH, Array, F, V, compiled, m, v
 
 
@@ -77,15 +75,3 @@ def advance(
         short += missing[i] * missing[i]
         size += command[i] * command[i]
     return short <= 1e-14 * size
-
-
-@compiled(F, m, v)
-def costliest(forces: Array, move: Array) -> float:
-    """The largest f'x of the rows f of `forces`."""
-    most = -math.inf
-    for i in range(forces.shape[0]):
-        s = 0.0
-        for j in range(move.size):
-            s += forces[i, j] * move[j]
-        most = max(most, s)
-    return most
