@@ -12,8 +12,7 @@ import os
 import numpy as np
 import pytest
 
-from wbc.errors import GainError
-from wbc.tank import RESERVE, Bounded, pressed
+from wbc.tank import Bounded, pressed
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 SEEDS = [int(os.environ["WBC_SEED"])] if "WBC_SEED" in os.environ else range(1000)
@@ -103,24 +102,26 @@ def follow(seed, bounded=None, law=Bounded.comply):
     """A mass that an admittance moves by a wrench that is late, and an arm that follows it late; a hand holds the arm."""
     rng = np.random.default_rng([seed, 3])
     delay, M, K = int(rng.integers(1, LATE + 1)), rng.uniform(1.0, 5.0), rng.uniform(0.0, 300.0)
-    B, hand, adverse = rng.uniform(0.05, 1.0) * np.sqrt(200.0 * M), 10.0 ** rng.uniform(1.0, 3.3), seed % 2
+    B, hand, adverse = rng.uniform(0.05, 1.0) * np.sqrt(200.0 * M), 10.0 ** rng.uniform(1.0, 3.0), seed % 2
     bounded = bounded or Bounded(rng.uniform(0.1, 2.0), ticks=LATE)
+    kd = min(100.0, 0.4 / (delay * DT))
     got = [0.0] * (delay - 1)  # by the push, what is not yet measured
-    x = v = at = speed = goal = 0.0  # the mass, the arm, and where the hand wants it
+    x = v = at = speed = goal = pace = 0.0  # the mass, the arm, and where the hand wants it
     wanted, felt, asked, tank, story, left = K, [0.0] * delay, [0.0] * delay, None, Story(), bounded.energy
     for tick in range(TICKS):
         if tick and (adverse or rng.random() < 0.02):
             wanted = stiffness(rng, K, x, v, adverse)
         if rng.random() < 0.02:
-            goal = rng.uniform(-0.1, 0.1)
+            pace = rng.uniform(-0.5, 0.5)
+        goal += DT * pace
         push, move = np.array([felt[0]]), np.array([DT * speed])
         given = [np.array(each) for each in ([-x], [-v], [[wanted]], [[B]], [[M]])]
-        tank = law(bounded, tank, *given, push, move, DT, False, 0.1)
+        tank = law(bounded, tank, *given, push, move, DT, False, 4.0 / kd)
         stored = 0.5 * M * v * v + 0.5 * float(tank.K[0, 0]) * x * x
         story.tick(tank, left - stored)
         v += DT / M * (tank.valve * felt[0] - float(tank.K[0, 0]) * x - B * v) - DT * tank.brake * v
         x += DT * v
-        asked.append(400.0 * (x - at) + 40.0 * (v - speed))
+        asked.append(kd * (0.25 * kd * (x - at) + v - speed))
         speed += DT * asked.pop(0)
         f = np.clip(hand * (goal - at), -40.0, 40.0)
         at += DT * speed

@@ -58,6 +58,7 @@ class Compliance:
     """
 
     carries = True  # whether the push counts among the known loads
+    lag = 0.0  # [s] with which the arm follows the mass, where that is not the arm itself
 
     def __init__(
         self,
@@ -143,7 +144,7 @@ class Compliance:
         tank = self.tank.comply(
             last.tank, S.dot(X_e), S.dot(V_e), self.wanted(state), self.B,
             inertia(self.mobility(state)) if self.massless else self.M, self.push(state) if known else None,
-            -state.dt * rate, state.dt, late,
+            -state.dt * rate, state.dt, late, self.lag,
         )  # fmt: skip
         state.felt[self] = felt = felt._replace(tank=tank)
         return felt
@@ -222,6 +223,7 @@ class AdmittanceTask(Compliance):
         self.printed = law == "printed"
         self.carries = not self.printed
         self.Kp, self.Kd = (gain_matrix(gain, len(self.axes), name) for gain, name in ((kp, "kp"), (kd, "kd")))
+        self.lag = 0.0 if self.printed else float(self.Kd.trace() / max(self.Kp.trace(), 1e-9))
 
     def feel(self, state: State, measured: Array | None, tau: Array, last: Felt) -> Felt:
         felt = super().feel(state, measured, tau, last)

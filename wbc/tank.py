@@ -34,7 +34,8 @@ from .qp import Array
 
 RESERVE = 0.1  # of the first filling: below, the valve closes
 LET_GO = 0.01  # [s] in which a spring that costs gives back what it holds
-BRAKE = 0.01  # [s] in which a motion is braked, or four times the delay
+BRAKE = 0.01  # [s] in which a motion is braked, or four times the delay, or the lag of what follows
+PEAK = 1.0  # [s] in which the largest push is forgotten
 AHEAD = 3.0  # times what is under way counts as spent
 _NOTHING: Array = np.zeros(0)
 
@@ -50,6 +51,7 @@ class Tank(NamedTuple):
     x: Array = _NOTHING  # (s,) pose error [m, rad]
     K: Array = _NOTHING  # (s, s) stiffness as it acts [N/m, N m/rad]
     brake: float = 0.0  # how fast it takes the motion against the reference away [1/s]
+    peak: Array = _NOTHING  # (s,) the largest push of late [N, N m]
 
     @property
     def energy(self) -> float:
@@ -106,11 +108,14 @@ class Bounded:
         if push is not None:
             moves = _newest(move, moves)
             spent = spent - moves.dot(push)  # the push was felt while the frame went one of these ways
-        sums = np.minimum(tank.sums - spent, self.most)
-        ahead = AHEAD * (_under_way(tank.forces, x, V, K, M, dt) + _given_away(moves, push, lag, dt))
+        peak = tank.peak if push is None else np.maximum(np.abs(push), (1.0 - dt / PEAK) * tank.peak)
+        beyond = 0.0 if push is None else _beyond(move, V, M, dt)
+        most = self.most + beyond
+        sums = np.minimum(tank.sums - spent, most)
+        ahead = beyond + AHEAD * _under_way(tank.forces, x, V, K, M, dt) + _given_away(moves, peak, lag, dt)
         given, K, limited = self._stiffened(float(sums.min()) - ahead, K, wanted, x, dt)
         if given:
-            sums = np.minimum(sums + given, self.most)
+            sums = np.minimum(sums + given, most)
         valve, brake = self._open(float(sums.min()) - ahead), 0.0
         force = K.dot(x) + B.dot(V)
         if valve < 1.0:
@@ -118,13 +123,13 @@ class Bounded:
             force = force + brake * M.dot(V)
         if push is not None:
             force = force + valve * push
-        return Tank(sums, valve, limited, _newest(force, tank.forces), moves, x, K, brake)
+        return Tank(sums, valve, limited, _newest(force, tank.forces), moves, x, K, brake, peak)
 
     def _filled(self, x: Array, K: Array, late: bool, pushed: bool) -> Tank:
         rows = self.ticks + 1
         shape = (rows if late else 1, rows if pushed else 1)
         forces, moves = (np.zeros((n, x.size)) for n in shape)
-        return Tank(np.full(shape, self.energy), forces=forces, moves=moves, x=x, K=K)
+        return Tank(np.full(shape, self.energy), forces=forces, moves=moves, x=x, K=K, peak=np.zeros(x.size))
 
     def _stiffened(self, energy: float, K: Array, wanted: Array, x: Array, dt: float) -> tuple[float, Array, bool]:
         """What a step towards the stiffness that is wanted gives to the tank [J], the stiffness after it, and whether
@@ -155,9 +160,15 @@ def _under_way(forces: Array, x: Array, V: Array, K: Array, M: Array, dt: float)
     return max(0.0, float(p.dot(rate) + 0.5 * (then.dot(K.dot(then)) - x.dot(K.dot(x)))))
 
 
-def _given_away(moves: Array, push: Array | None, lag: float, dt: float) -> float:
-    """What is given to who pushes until a frame that moves has come to rest, `lag` [s] after it is told to [J]."""
-    return 0.0 if push is None else max(0.0, -(len(moves) + lag / dt) * float(push.dot(moves[0])))
+def _beyond(move: Array, V: Array, M: Array, dt: float) -> float:
+    """What a frame has of motion beyond that of the mass that it follows [J]: it is still to be given away."""
+    return 0.5 * max(0.0, float(move.dot(M.dot(move))) / (dt * dt) - float(V.dot(M.dot(V)))) if dt > 0.0 else 0.0
+
+
+def _given_away(moves: Array, peak: Array, lag: float, dt: float) -> float:
+    """What a frame may give away until it has come to rest, `lag` [s] after it is told to, where who pushed it with up
+    to `peak` (s,) turns round [J]."""
+    return (len(moves) + lag / dt) * float(peak.dot(np.abs(moves[0]))) if dt > 0.0 else 0.0
 
 
 def _affordable(first: float, second: float, energy: float) -> float:
