@@ -7,8 +7,8 @@ a task moved by dx along its axes while it pressed with f,
 
     E+ = min(E - f'dx - (U+ - U), most),     U = x'K x / 2 of its spring, where it has one
 
-is exact, for dx is what was measured, not v dt of a prediction. Where a wrench moves a mass, the same wrench has brought
-in what the frame went under it. What keeps E above zero:
+is exact, for dx is what was measured, not v dt of a prediction. Where a wrench moves a mass, the same wrench has
+brought in what the frame went under it. What keeps E above zero:
 
 - stiffness is paid before it acts, x'(K+ - K) x / 2 for K+ at the pose of the tick: what cannot be paid waits, and what
   becomes softer gives back;
@@ -109,11 +109,12 @@ class Bounded:
             moves = _newest(move, moves)
             spent = spent - moves.dot(push)  # the push was felt while the frame went one of these ways
         peak = tank.peak if push is None else np.maximum(np.abs(push), (1.0 - dt / PEAK) * tank.peak)
-        beyond = 0.0 if push is None else _beyond(move, V, M, dt)
-        most = self.most + beyond
+        ahead = AHEAD * _under_way(tank.forces, x, V, K, M, dt) + _given_away(moves, peak, lag, dt)
+        if push is not None:
+            ahead += _beyond(move, V, M, dt)
+        most = self.most + ahead  # what is under way is as good as spent
         sums = np.minimum(tank.sums - spent, most)
-        ahead = beyond + AHEAD * _under_way(tank.forces, x, V, K, M, dt) + _given_away(moves, peak, lag, dt)
-        given, K, limited = self._stiffened(float(sums.min()) - ahead, K, wanted, x, dt)
+        given, K, limited = self._stiffened(float(sums.min()) - ahead, K, wanted, x, V, M, len(tank.forces) * dt, dt)
         if given:
             sums = np.minimum(sums + given, most)
         valve, brake = self._open(float(sums.min()) - ahead), 0.0
@@ -131,9 +132,11 @@ class Bounded:
         forces, moves = (np.zeros((n, x.size)) for n in shape)
         return Tank(np.full(shape, self.energy), forces=forces, moves=moves, x=x, K=K, peak=np.zeros(x.size))
 
-    def _stiffened(self, energy: float, K: Array, wanted: Array, x: Array, dt: float) -> tuple[float, Array, bool]:
+    def _stiffened(
+        self, energy: float, K: Array, wanted: Array, x: Array, V: Array, M: Array, span: float, dt: float
+    ) -> tuple[float, Array, bool]:
         """What a step towards the stiffness that is wanted gives to the tank [J], the stiffness after it, and whether
-        it falls short."""
+        it falls short; `span` [s] is how late it may act."""
         shut = 1.0 - self._open(energy)
         if shut:
             share = shut * min(1.0, dt / LET_GO)
@@ -143,7 +146,8 @@ class Bounded:
         cost = 0.5 * float(x.dot((wanted - K).dot(x)))
         if cost <= 0.0:
             return -cost, wanted, False
-        share = (energy - self._reserve) / cost
+        way = span * (V + 0.5 * span * np.linalg.solve(M, wanted.dot(x)))
+        share = (energy - self._reserve) / (cost + AHEAD * float(way.dot(wanted.dot(way))))
         if share >= 1.0:
             return -cost, wanted, False
         share = max(share, 0.0)
