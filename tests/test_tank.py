@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from array import array
 
+import bars
 import numpy as np
 import pytest
 import runs
@@ -152,7 +153,7 @@ def test_never_below_zero_nor_more_than_there_is(model, record_property):
         story = MODELS[model](seed)
         lowest, promised = min(lowest, story.low), max(promised, story.promised)
         limited += story.limited > 0
-        if not (story.low >= 0.0 and story.promised <= 1e-9):
+        if not (story.low >= bars.TANK and story.promised <= 1e-9):
             wrong.append(f"WBC_SEED={seed} pytest tests/test_tank.py -k {model}  # {story.low:g}, {story.promised:g} J")
     record_property("lowest [J]", lowest)
     record_property("promised beyond the truth [J]", promised)
@@ -280,7 +281,7 @@ def test_the_controllers_tank_is_never_below_zero(tmp_path, kind, record_propert
         result, built = pumped(tmp_path, seed, kind)
         low, true = float(result.log["feel.tank"].min()), float(balance(result, built).min())
         lowest, left = min(lowest, low), min(left, true)
-        if not (low >= 0.0 and true >= -1e-3 and result.summary["status"].keys() <= {"OK", "LIMITED"}):
+        if not (low >= bars.TANK and true >= -1e-3 and result.summary["status"].keys() <= {"OK", "LIMITED"}):
             wrong.append(
                 f"WBC_SEED={seed} pytest tests/test_tank.py -k 'controllers and {kind}'  # {low:g}, {true:g} J"
             )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 
+import bars
 import numpy as np
 import pytest
 
@@ -21,7 +22,7 @@ from wbc.wrench import Wrench
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 SEEDS = [int(os.environ["WBC_SEED"])] if "WBC_SEED" in os.environ else range(20 if LARGE else 2)
-MOST = 1.3  # times the impact without a wait
+MOST = bars.WIND_UP  # times the impact without a wait
 WAIT = 10.0  # [s]
 SPEC = """
 title: Press from the air
