@@ -198,8 +198,8 @@ def _pushes(fig: Figure, place: SubplotSpec, log: Log, tasks: Mapping[str, Seque
         if tank:
             ax = _axes(fig.add_subplot(cell[2], label=f"{name} tank [J]"), "", log, f"{name}.external")
             ax.set_ylabel("tank\n[J]", size=8, color=INK)
-            _lines(ax, log, log[f"{name}.tank"], "energy", linewidth=1.8)
-            _window(ax, np.zeros(1), _known(log[f"{name}.tank"]))
+            _lines(ax, log, log[f"{name}.tank"][:, None], "energy", linewidth=1.8)
+            _window(ax, np.zeros((1, 1)), _known(log[f"{name}.tank"][:, None]))
 
 
 def _of(log: Log, motions: list[str], part: slice) -> list[str]:
