@@ -25,6 +25,7 @@ import wbc.phase
 import wbc.solver
 from wbc.build import build
 from wbc.controller import Controller
+from wbc.inputs import Inputs
 from wbc.phase import Program
 from wbc.run import run
 from wbc.spec import load
@@ -34,7 +35,7 @@ from wbc.wrench import Wrench
 # stage -> where its functions stand; a stage inside another is taken off it
 STAGES: dict[str, tuple[tuple[Any, str], ...]] = {
     "state": ((wbc.controller, "State"),),
-    "contacts, wrenches": ((wbc.controller, "hold"), (Controller, "_read")),
+    "contacts, wrenches": ((wbc.controller, "hold"), (Inputs, "read")),
     "rows": ((Program, "costs"), (WholeBodyProgram, "costs")),
     "assembly": ((Program, "assemble"),),
     "solve": ((wbc.phase, "answer"),),
@@ -112,9 +113,9 @@ def told(us: dict[str, Any]) -> dict[str, dict[str, float]]:
     return {name: {"p50": float(np.median(x)), "p99": float(np.percentile(x, 99))} for name, x in us.items()}
 
 
-def split(name: str, overrides: list[str], count: int, clock: str = "wall") -> dict[str, dict[str, float]]:
-    """Median and p99 [us] of the tick, of its stages and of the floor."""
-    built, ticks = build(load(name, [*overrides, f"duration={count / 1000}"])), []
+def recorded(spec: Any) -> tuple[Any, list[tuple[Any, ...]], Any]:
+    """A spec, built, the ticks (t, q, v, measured) of its run, and what they took there [us]."""
+    built, ticks = build(spec), []
     controller = built.controller
 
     def record(seen: Any, out: Any) -> None:
@@ -123,10 +124,15 @@ def split(name: str, overrides: list[str], count: int, clock: str = "wall") -> d
         }
         ticks.append((seen.t, seen.q, seen.v, given))
 
-    loop = run(built, hook=record).log["step_us"]
+    return built, ticks, run(built, hook=record).log["step_us"]
+
+
+def split(name: str, overrides: list[str], count: int, clock: str = "wall") -> dict[str, dict[str, float]]:
+    """Median and p99 [us] of the tick, of its stages and of the floor."""
+    built, ticks, loop = recorded(load(name, [*overrides, f"duration={count / 1000}"]))
     gc.collect()
     gc.freeze()
-    us = stages(controller, ticks, CLOCKS[clock])
+    us = stages(built.controller, ticks, CLOCKS[clock])
     floor = us.pop("floor: Pinocchio")
     return told(us | {"in the loop": loop, "floor: Pinocchio": floor})
 

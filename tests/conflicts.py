@@ -1,30 +1,37 @@
 """Ticks that have no answer, of known cause: generated from ticks that have one by tightening two constraints at once.
 
-With either of the two as it was there is an answer (scipy's HiGHS says so, on the rows of the tick), so both stand in
-every conflict that there is: these are the known culprits. A culprit is a name, or the beginning of one that ends in
-`.` or `[` (any axis of that contact), or `*` and its end (`*.friction`: of any foot).
+With either of the two as it was there is an answer (`violation` says so, on the rows that go to a solver), so both
+stand in every conflict that there is: these are the known culprits. A culprit is a name, or the beginning of one that
+ends in `.` or `[` (any axis of that contact), or `*` and its end (`*.friction`: of any foot).
 """
 
 from __future__ import annotations
 
 import copy
+import warnings
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import linprog
+from qpsolvers import Problem, solve_problem
 
 from wbc.build import build
+from wbc.collision import SelfCollision
 from wbc.contact import MatrixContact
-from wbc.controller import Controller, Phase
+from wbc.controller import Controller
 from wbc.friction import unilateral
 from wbc.limit import FloatingJointLimit, JointLimit, TorqueLimit
+from wbc.phase import Phase
 from wbc.spec import load
 from wbc.surface import Sole
 from wbc.task import PostureTask
 
-TRIES = 60
+TRIES, STEPS = 60, 6
+TOLERANCE = 1e-5  # of rows of norm 1 that hold together
+CLEAR = 1e-3  # of a tick that has no answer
+SOLVERS = (("piqp", {"eps_abs": 1e-9, "eps_rel": 0.0}), ("piqp", {"eps_abs": 1e-8, "eps_rel": 0.0}), ("clarabel", {}))
 FREE = np.inf
 
 
@@ -48,25 +55,37 @@ class Moving(MatrixContact):
         return self._hold(state, self._A, self._free, self._inverse, self._basis, self._zero)
 
 
-def answered(C, lo, hi, C_eq=None, b_eq=None):
-    """Whether some x has lo <= C x <= hi, and C_eq x = b_eq."""
-    if (lo > hi).any():
-        return False
+def violation(C, lo, hi, E=None, e=None):
+    """The least t by which all rows, scaled to a norm of 1, must give way for some x with E x = e: by interior points,
+    of PIQP or where that gives up of Clarabel."""
     up, down = np.isfinite(hi), np.isfinite(lo)
     A, b = np.concatenate((C[up], -C[down])), np.concatenate((hi[up], -lo[down]))
-    scale = np.maximum(np.linalg.norm(A, axis=1), 1e-12)
-    equal = {} if C_eq is None or not len(C_eq) else {"A_eq": C_eq, "b_eq": b_eq}
-    found = linprog(np.zeros(C.shape[1]), A_ub=A / scale[:, None], b_ub=b / scale, bounds=(None, None), **equal)
-    return found.status == 0
+    norm = np.maximum(np.linalg.norm(A, axis=1), 1e-12)
+    m, n = A.shape
+    G, none = np.zeros((m + 1, n + 1)), np.zeros((0, n + 1))
+    G[:m, :n], G[:, n] = A / norm[:, None], -1.0
+    equal = none if E is None else np.c_[E, np.zeros(len(E))]
+    program = Problem(np.zeros((n + 1, n + 1)), np.eye(n + 1)[n], G, np.r_[b / norm, 0.0])
+    if len(equal):
+        program.A, program.b = equal, e
+    for solver, accuracy in SOLVERS:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of sparse copies, and of what is not so exact
+            found = solve_problem(program, solver, **accuracy)
+        if found.found:
+            return float(found.x[n])
+    raise AssertionError("neither PIQP nor Clarabel has an answer")
 
 
-def feasible(controller):
-    """Whether the hard rows of the last tick hold together."""
+def answered(*rows):
+    """Whether some x satisfies the rows, to `TOLERANCE`."""
+    return violation(*rows) <= TOLERANCE
+
+
+def missed(controller):
+    """By how much the hard rows of the last tick must give way."""
     p = controller.tick.program.strict.problem
-    n, n_eq = p.g.size, p.n_eq
-    C = np.concatenate((np.eye(n), p.C[n_eq:]))
-    lo, hi = (np.concatenate((side[:n], side[n + n_eq :])) for side in (p.lo, p.hi))
-    return answered(C, lo, hi, p.C[:n_eq], p.lo[n : n + n_eq])
+    return violation(np.concatenate((np.eye(p.g.size), p.C)), p.lo, p.hi)
 
 
 def matches(culprit, names):
@@ -96,24 +115,27 @@ class Scene:
             v = v - np.linalg.pinv(G, rcond=1e-8) @ (G @ v)
         return q, v
 
-    def make(self, q, v, limits, contacts=None):
+    def make(self, q, v, limits, contacts=None, collision=None):
         """`limits`: low, high, rate (nu,) of the torque, tau (nu,) before, and joint: a JointLimit or None."""
         robot = self.robot
         contacts = self.contacts if contacts is None else contacts
         low, high, rate, tau, joint = limits
         torque = TorqueLimit(low, high, rate, robot.joints)
         tasks = {} if robot.base else {"hold": PostureTask(self.q, 10.0, 5.0)}
-        phase = Phase(contacts, tasks, dict.fromkeys(tasks, 1.0), torque, joint)
+        phase = Phase(contacts, tasks, dict.fromkeys(tasks, 1.0), torque, joint, collision=collision)
         made = Controller(robot, phases=[phase], q=self.q)
         made.reset(q, v, tau=tau)
         made.step(0.0, q, v)
         return made
 
-    def torques(self, q, v):
-        """Wide limits of the torque about that of rest."""
+    def torques(self, q, v, j=None):
+        """Limits of the torque about that of rest; wide for joint j, or where all are strong."""
         robot = self.robot
-        most = self.strong * np.minimum(robot.tau_max, -robot.tau_min)
-        return -most, most, np.full(robot.nu, FREE), np.clip(robot.state(q, v).h[robot.base :], -most, most)
+        most = np.minimum(robot.tau_max, -robot.tau_min)
+        room = np.full(robot.nu, self.strong)
+        room[slice(0) if j is None else j] = max(self.strong, 3.0)
+        rest = np.clip(robot.state(q, v).h[robot.base :], -most, most)
+        return rest - room * most, rest + room * most, np.full(robot.nu, FREE), rest
 
     def of_friction(self, mu, q):
         """Its contacts on a ground of that friction."""
@@ -158,18 +180,26 @@ def _at_speed(scene, rng):
     return q, v * max(1.0, rng.uniform(0.3, 2.0) / abs(v[robot.base + j])), j
 
 
+class Draw(NamedTuple):
+    """`make(first, second, demand)` makes a tick with either of two constraints or both; `demand` says how much the
+    first asks for, 10^`least` to 10^`most`."""
+
+    make: Callable[[bool, bool, float], Controller]
+    culprits: tuple[str, str]
+    least: float
+    most: float
+
+
 def _braked(scene, rng, what):
     """A joint that must brake for its position or speed, against its torque or the rate of it."""
     robot, (q, v, j) = scene.robot, _at_speed(scene, rng)
     limit = "velocity" if what == "velocity" else "position"
-    edge = scene.edge(
-        q, v, j, 10 ** rng.uniform(1.5, 3.5), 0.5 * abs(v[robot.base + j]) if limit == "velocity" else FREE
-    )
-    wide, name = scene.torques(q, v), robot.joints[j]
+    speed = 0.5 * abs(v[robot.base + j]) if limit == "velocity" else FREE
+    wide, name = scene.torques(q, v, j), robot.joints[j]
     width = rng.uniform(0.01, 0.2) * robot.tau_max[j]
 
-    def make(first, second):
-        limits = (*wide, edge if first else None)
+    def make(first, second, demand):
+        limits = (*wide, scene.edge(q, v, j, demand, speed) if first else None)
         if second and what == "rate":
             rate = np.full(robot.nu, FREE)
             rate[j] = 1000.0 * width
@@ -178,7 +208,7 @@ def _braked(scene, rng, what):
             limits = _narrow(limits, j, wide[3][j], width)
         return scene.make(q, v, limits)
 
-    return make, (f"{limit}[{name}]", f"torque{'_rate' * (what == 'rate')}[{name}]")
+    return Draw(make, (f"{limit}[{name}]", f"torque{'_rate' * (what == 'rate')}[{name}]"), 0.5, 3.5)
 
 
 def _pressed(scene, rng, what):
@@ -186,35 +216,36 @@ def _pressed(scene, rng, what):
     robot = scene.robot
     q, v = scene.state(rng)
     name = str(rng.choice(list(scene.contacts)))
-    contact = copy.copy(scene.contacts[name])
-    state = robot.state(q, v)
-    lever = np.abs(contact.hold(state).push).max(axis=0)[robot.base :]
+    lever = np.abs(scene.contacts[name].hold(robot.state(q, v)).push).max(axis=0)[robot.base :]
     j = int(rng.choice(np.flatnonzero(lever > 0.3 * lever.max())))
-    contact.pushes = copy.copy(contact.pushes)
-    contact.pushes._kept, contact.pushes._least = None, contact.pushes._least.copy()
-    contact.pushes._least[0] = 10 ** rng.uniform(0.0, 1.5) * 100.0
-    wide = scene.torques(q, v)
+    wide = scene.torques(q, v, j)
     width = rng.uniform(0.01, 0.1) * robot.tau_max[j]
 
-    def make(first, second):
+    def make(first, second, demand):
+        contact = copy.copy(scene.contacts[name])
+        contact.pushes = copy.copy(contact.pushes)
+        contact.pushes._kept, contact.pushes._least = None, contact.pushes._least.copy()
+        contact.pushes._least[0] = demand
         limits = (*wide, None)
         contacts = scene.contacts | ({name: contact} if first else {})
         return scene.make(q, v, _narrow(limits, j, wide[3][j], width) if second else limits, contacts)
 
-    return make, (f"{name}.push", f"torque[{robot.joints[j]}]")
+    return Draw(make, (f"{name}.push", f"torque[{robot.joints[j]}]"), 1.0, 4.0)
 
 
 def _slippery(scene, rng, what):
     """A joint of a robot that stands must brake, against the friction of its feet."""
     robot, (q, v, j) = scene.robot, _at_speed(scene, rng)
-    edge, slick = scene.edge(q, v, j, 10 ** rng.uniform(1.0, 3.0)), scene.of_friction(rng.uniform(0.02, 0.1), q)
-    rough, unlimited = scene.of_friction(2.0, q), np.full(robot.nu, FREE)
+    slick, rough = scene.of_friction(rng.uniform(0.02, 0.1), q), scene.of_friction(2.0, q)
+    low, high, rate, tau = scene.torques(q, v, j)
+    if scene.strong > 1.0:
+        low, high = np.full((2, robot.nu), FREE) * [[-1.0], [1.0]]
 
-    def make(first, second):
-        limits = (-unlimited, unlimited, unlimited, robot.state(q, v).h[robot.base :].copy(), edge if first else None)
+    def make(first, second, demand):
+        limits = (low, high, rate, tau, scene.edge(q, v, j, demand) if first else None)
         return scene.make(q, v, limits, slick if second else rough)
 
-    return make, (f"position[{robot.joints[j]}]", "*.friction")
+    return Draw(make, (f"position[{robot.joints[j]}]", "*.friction"), 0.5, 3.5)
 
 
 def _clamped(scene, rng, what):
@@ -225,13 +256,13 @@ def _clamped(scene, rng, what):
     unlimited = np.full(robot.nu, FREE)
     most = unlimited.copy()
     most[(j + 1 + int(rng.integers(robot.nu - 1))) % robot.nu] = rng.uniform(0.01, 1.0)
-    edge = scene.edge(q, v, j, 10 ** rng.uniform(1.0, 2.0), a_max=most)
 
-    def make(first, second):
+    def make(first, second, demand):
+        edge = scene.edge(q, v, j, demand, a_max=most)
         limits = (-unlimited, unlimited, unlimited, robot.state(q, v).h.copy(), edge if first else None)
         return scene.make(q, v, limits, wall if second else {})
 
-    return make, (f"position[{robot.joints[j]}]", "wall.")
+    return Draw(make, (f"position[{robot.joints[j]}]", "wall."), 0.5, 2.5)
 
 
 def _contrary(scene, rng, what):
@@ -239,20 +270,51 @@ def _contrary(scene, rng, what):
     robot, axis = scene.robot, int(rng.integers(6))
     q, v = Scene(robot, {}, scene.q, 1.0).state(rng)
     A = np.eye(6)[axis : axis + 1] * rng.uniform(0.5, 2.0)
-    wall, lift = MatrixContact("eraser", A), Moving("eraser", A, [rng.uniform(0.1, 5.0)])
+    wall = MatrixContact("eraser", A)
 
-    def make(first, second):
-        contacts = {"wall": wall} if first else {}
-        return scene.make(q, v, (*scene.torques(q, v), None), contacts | ({"lift": lift} if second else {}))
+    def make(first, second, demand):
+        lift = Moving("eraser", A, [demand])
+        contacts = {"lift": lift} if first else {}
+        return scene.make(q, v, (*scene.torques(q, v), None), contacts | ({"wall": wall} if second else {}))
 
-    return make, ("wall.", "lift.")
+    return Draw(make, ("lift.", "wall."), -1.0, 1.0)
+
+
+def _nearing(scene, rng, what):
+    """Two bodies must not meet, against the torque of a joint: the others that move them have hardly any to add."""
+    robot = scene.robot
+    q, v = scene.state(rng)
+    pairs = robot.pairs()
+    far = pairs.distances(robot.state(q, v))
+    near = np.flatnonzero((far > 0.01) & (far < 0.3) & (pairs.home > far))
+    if not near.size:
+        return None
+    distance = 0.98 * far[rng.choice(near)]
+    rows, told, _ = SelfCollision(robot, distance).told(robot.state(q, 100.0 * v))
+    row = int(rng.integers(len(told)))
+    v = v * -np.sign(told[row, 1]) * rng.uniform(0.1, 0.5) / max(0.01 * abs(told[row, 1]), 1e-3)
+    moves = np.abs(rows.A["vdot"][row, robot.base :])
+    j = int(rng.choice(np.flatnonzero(moves > 0.3 * moves.max())))
+    width = rng.uniform(0.001, 0.05) * robot.tau_max
+    wide = scene.torques(q, v, j)
+    base = (*wide, None)
+    for i in np.flatnonzero(moves > 1e-9):
+        base = _narrow(base, i, wide[3][i], width[i]) if i != j else base
+
+    def make(first, second, demand):
+        limits = _narrow(base, j, wide[3][j], width[j]) if second else base
+        return scene.make(q, v, limits, collision=SelfCollision(robot, distance, demand) if first else None)
+
+    return Draw(make, ("collision[", f"torque[{robot.joints[j]}]"), 0.0, 2.0)
 
 
 KINDS = {
     "torque": ("chalk_stick", _braked), "rate": ("chalk_stick", _braked), "velocity": ("chalk_stick", _braked),
     "push": ("chalk_stick", _pressed), "clamped": ("eraser", _clamped), "contrary": ("eraser", _contrary),
     "go2 torque": ("go2_stand", _braked), "go2 rate": ("go2_stand", _braked), "go2 push": ("go2_stand", _pressed),
-    "go2 friction": ("go2_stand", _slippery),
+    "go2 friction": ("go2_stand", _slippery), "g1 torque": ("g1_stand", _braked), "g1 rate": ("g1_stand", _braked),
+    "g1 push": ("g1_stand", _pressed), "g1 friction": ("g1_stand", _slippery), "g1 collision": ("g1_stand", _nearing),
+    "collision": ("chalk_stick", _nearing),
 }  # fmt: skip
 
 
@@ -260,17 +322,29 @@ KINDS = {
 def scene(spec):
     built = build(load(spec))
     contacts = built.phases[0].contacts
-    return Scene(built.robot, contacts, built.q, 3.0)
+    return Scene(built.robot, contacts, built.q, 0.1 if spec.startswith("g1") else 3.0)
 
 
 def generate(seed):
-    """The tick of a seed. Raises where a kind of cause makes none in many tries."""
+    """The tick of a seed: a demand that is met without the second constraint and is not with it is searched for.
+
+    Raises where a kind of cause makes none in many tries.
+    """
     kind = list(KINDS)[seed % len(KINDS)]
     spec, draw = KINDS[kind]
     rng = np.random.default_rng([7, seed])
     for _ in range(TRIES):
-        make, culprits = draw(scene(spec), rng, kind.split()[-1])
-        made = make(True, True)
-        if made.tick is not None and not feasible(made) and feasible(make(True, False)) and feasible(make(False, True)):
-            return Generated(made, culprits, kind)
+        drawn = draw(scene(spec), rng, kind.split()[-1])
+        if drawn is None or not missed(drawn.make(False, True, 1.0)) <= TOLERANCE:
+            continue
+        least, most = drawn.least, drawn.most
+        for _ in range(STEPS):
+            power = rng.uniform(least, most)
+            made = drawn.make(True, True, 10.0**power)
+            if not missed(made) > CLEAR:
+                least = power
+            elif missed(drawn.make(True, False, 10.0**power)) <= TOLERANCE:
+                return Generated(made, drawn.culprits, kind)
+            else:
+                most = power
     raise AssertionError(f"no tick of kind {kind} with seed {seed}")

@@ -6,13 +6,14 @@ import tempfile
 
 import numpy as np
 import pytest
+import rows
 import runs
 
 from wbc.robot import Robot
 
 LONG = (
     "test_tour.py", "test_specs.py", "test_landing.py", "test_mutations.py", "test_pushes.py", "test_friction.py",
-    "test_force.py", "test_verify.py", "test_response.py",
+    "test_force.py", "test_verify.py", "test_response.py", "test_soak.py",
 )  # fmt: skip
 
 
@@ -20,6 +21,7 @@ def pytest_configure(config):
     """A folder for the runs that processes share; those that the first one starts inherit its name."""
     if runs.FOLDER not in os.environ:
         config.shared_runs = os.environ[runs.FOLDER] = tempfile.mkdtemp(prefix="runs")
+    config.pluginmanager.register(rows.Rows(), "rows")
 
 
 def pytest_unconfigure(config):

@@ -10,7 +10,9 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from wbc.controller import Controller, Memory, Output, Status
+from wbc.controller import Controller
+from wbc.ladder import Status
+from wbc.memory import Memory, Output
 from wbc.oracle import Dynamics, closed_form
 from wbc.robot import Robot, State
 from wbc.task import ForceLoop

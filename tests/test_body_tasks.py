@@ -14,9 +14,10 @@ from test_floating import contacts_of
 from wbc.axes import MOMENTUM_AXES
 from wbc.centroidal import ComTask, MomentumTask, WholeBodyPosture, com, mass, momentum
 from wbc.contact import AxesContact
-from wbc.controller import Controller, Status
+from wbc.controller import Controller
 from wbc.effort import TorqueTask
 from wbc.errors import GainError, NameNotFound
+from wbc.ladder import Status
 from wbc.pair import RelativeFrame, relative_axes
 from wbc.reference import Hold, Path, sine
 from wbc.relative import BEHIND, GazeTask, RelativeTask, _stretch

@@ -13,8 +13,9 @@ import pytest
 from wbc.build import build
 from wbc.check import check
 from wbc.collision import Pairs, SelfCollision, find_pairs, signed
-from wbc.controller import Controller, Status
+from wbc.controller import Controller
 from wbc.errors import GainError, ModelError, SpecError
+from wbc.ladder import Status
 from wbc.limit import make_collision
 from wbc.resources import shipped_folder
 from wbc.robot import Robot

@@ -41,8 +41,7 @@ def test_a_conflict_is_infeasible_and_each_of_its_names_is_needed(seed):
 def test_what_a_name_needs_is_the_least_that_frees_all(seed):
     C, lo, hi, names = drawn(seed)
     made = system(C, lo, hi, names)
-    found = made.conflict()
-    for member in made.members(found, made.names):
+    for member in made.members():
         own = made.rows([member.name])
         rest = ~own
         assert member.frees == answered(C[rest], lo[rest], hi[rest])
@@ -57,7 +56,7 @@ def test_dynamics_are_never_named():
     made = system(
         np.eye(2), np.array([-5.0, 1.0]), np.array([0.0, 9.0]), ["x", "y"], np.array([[1.0, -1.0]]), np.zeros(1)
     )
-    found = made.members(made.conflict(), made.names)
+    found = made.members()
     assert {each.name: each.upper for each in found} == {"x": True, "y": False}
     assert [each.needs for each in found] == pytest.approx([1.0, 1.0], abs=1e-6)
 
@@ -71,9 +70,7 @@ def test_two_equalities_that_contradict_one_another():
     C, b = np.array([[1.0, 2.0], [2.0, 4.0], [0.0, 1.0]]), np.array([1.0, 3.0, 0.0])
     made = system(C, b, b.copy(), ["a", "b", "c"])
     assert set(made.conflict()) == {"a", "b"}
-    assert {each.name: each.needs for each in made.members(("a", "b"), made.names)} == pytest.approx(
-        {"a": 0.5, "b": 1.0}, abs=1e-5
-    )
+    assert {each.name: each.needs for each in made.members()} == pytest.approx({"a": 0.5, "b": 1.0}, abs=1e-5)
 
 
 def test_all_that_hold_together_are_no_conflict():

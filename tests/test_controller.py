@@ -9,8 +9,8 @@ import pytest
 
 import wbc
 import wbc.task
-from wbc.controller import GOOD_TICKS, HOLD_TICKS, Status
 from wbc.errors import NameNotFound, SolverError, StateError
+from wbc.ladder import GOOD_TICKS, HOLD_TICKS, Status
 from wbc.phase import hold
 from wbc.solver import Daqp
 

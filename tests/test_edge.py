@@ -14,10 +14,10 @@ from wbc import analytic
 from wbc.analytic.surface import ALONG, ENDS
 from wbc.build import build
 from wbc.contact import Settling
-from wbc.controller import Status
 from wbc.edge import Edge, EdgeContact
 from wbc.errors import SpecError, WrenchError
 from wbc.footing import Footing
+from wbc.ladder import Status
 from wbc.resources import shipped_folder
 from wbc.run import run
 from wbc.spec import load

@@ -20,7 +20,10 @@ import pytest
 from tests.bars import TAU_ERROR, TAU_ERROR_MUJOCO
 from wbc import analytic
 from wbc.contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
-from wbc.controller import Controller, Memory, Output, Phase, Status
+from wbc.controller import Controller
+from wbc.ladder import Status
+from wbc.memory import Memory, Output
+from wbc.phase import Phase
 from wbc.qp import Array, Rows
 from wbc.reference import Path, Sample, hold, sine
 from wbc.robot import Robot, State

@@ -18,7 +18,7 @@ from conflicts import answered, generate, matches
 from wbc import analytic
 from wbc.build import build
 from wbc.cli import main
-from wbc.explain import explain
+from wbc.explanation import explain
 from wbc.hardness import Hard
 from wbc.run import run
 from wbc.spec import load
@@ -62,9 +62,10 @@ def _faults(seed):
     return faults, took, made.kind
 
 
+@pytest.mark.row(10)
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_known_culprits_are_named_and_every_set_is_minimal():
+def test_known_culprits_are_named_and_every_set_is_minimal(record_property):
     wrong, times, missed, size = list[str](), list[float](), 0, 0
     for seed in [int(ONE)] if ONE else range(COUNT):
         faults, took, kind = _faults(seed)
@@ -74,6 +75,8 @@ def test_known_culprits_are_named_and_every_set_is_minimal():
         size += 1
     p50, p99, most = 1e3 * np.percentile(times, [50, 99, 100])
     print(f"{size} ticks: {size - missed} explained; {p50:.1f} ms median, {p99:.1f} ms p99, {most:.1f} ms max")
+    record_property("explained", f"{size - missed} of {size}")
+    record_property("most [ms]", float(most))
     assert size - missed >= EXPLAINED * size, "\n".join(wrong)
     short = [each for each in wrong if "go2" in each and "what is named has an answer" in each]
     assert not [each for each in wrong if "not " in each and each not in short], "\n".join(wrong)

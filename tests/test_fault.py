@@ -93,6 +93,9 @@ EXPECTED = {  # kind -> (worst status while it lasts, ten ticks)
     "solver.x": "SAFE_HOLD",
     "solver.signs": "OK",  # nothing is active: its multipliers are those of equalities, or zero
     "solver.stale": "SAFE_HOLD",
+    "solver.leans": "SAFE_HOLD",
+    "solver.nan": "SAFE_HOLD",
+    "solver.shape": "SAFE_HOLD",
     "state.nan": "SAFE_HOLD",
     "state.shape": "SAFE_HOLD",
     "state.quaternion": "OK",  # there is none in an arm's q
@@ -128,6 +131,7 @@ def test_a_mended_controller_has_its_solvers_back():
     assert statuses(result)[20] == "DEGRADED"
 
 
+@pytest.mark.row(18)
 @pytest.mark.parametrize(("fault", "why"), [("simulator.nan", "mjWARN_BADQPOS"), ("simulator.reset", "it was reset")])
 def test_row_18_a_simulator_that_breaks_down_ends_the_run_and_says_when(fault, why, tmp_path):
     args = ["run", "eraser", "--headless", "--json", "--duration", "0.6", "--out", str(tmp_path)]
@@ -144,6 +148,7 @@ def test_row_18_a_simulator_that_breaks_down_ends_the_run_and_says_when(fault, w
     assert (tmp_path / "report.png").exists()
 
 
+@pytest.mark.row(18)
 def test_row_18_of_the_first_tick_too(tmp_path):
     args = ["run", "eraser", "--headless", "--json", "--duration", "0.2", "--out", str(tmp_path)]
     result = CliRunner().invoke(main, [*args, "--fault", "simulator.nan at 0"])

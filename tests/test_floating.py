@@ -10,10 +10,11 @@ from oracles import accelerated, constrained, first_tick, unconstrained
 
 from wbc.centroidal import ComTask, WholeBodyPosture, com, mass
 from wbc.contact import AxesContact, Settling
-from wbc.controller import Controller, Status
+from wbc.controller import Controller
 from wbc.errors import ModelError
 from wbc.foot import RoundFoot
 from wbc.friction import unilateral
+from wbc.ladder import Status
 from wbc.reference import Hold
 from wbc.robot import Robot
 from wbc.surface import Sole

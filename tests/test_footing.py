@@ -10,9 +10,9 @@ from test_floating import contacts_of
 
 from wbc.build import build
 from wbc.centroidal import FADE, DistributionTask, com, mass
-from wbc.controller import Status
 from wbc.footing import LIFTED, Footing
 from wbc.handover import Start
+from wbc.ladder import Status
 from wbc.resources import shipped_folder
 from wbc.run import run
 from wbc.spec import load

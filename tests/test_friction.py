@@ -12,10 +12,11 @@ from runs import result
 from wbc import analytic, quantity
 from wbc.build import build
 from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
-from wbc.controller import Controller, Status
+from wbc.controller import Controller
 from wbc.dynamics import reaction
 from wbc.errors import SpecError, WrenchError
 from wbc.friction import unilateral
+from wbc.ladder import Status
 from wbc.oracle import relative
 from wbc.reference import Path, hold, sine
 from wbc.resources import shipped_folder

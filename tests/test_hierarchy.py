@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from wbc.build import build
-from wbc.controller import Controller, Status
+from wbc.controller import Controller
 from wbc.errors import LawError
 from wbc.hierarchy import Level, level, shortest, solve
+from wbc.ladder import Status
 from wbc.qp import Problem, Rows, Variables
 from wbc.reference import hold
 from wbc.robot import Robot

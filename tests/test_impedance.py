@@ -11,10 +11,11 @@ import yaml
 from wbc import analytic
 from wbc.build import build
 from wbc.contact import AxesContact
-from wbc.controller import Controller, Status
+from wbc.controller import Controller
 from wbc.errors import GainError, SpecError
 from wbc.free_motion import free_matrix, radius, stable_range
 from wbc.impedance import AdmittanceTask, ImpedanceTask
+from wbc.ladder import Status
 from wbc.observer import MomentumObserver
 from wbc.reference import Sample, hold
 from wbc.resources import shipped_folder

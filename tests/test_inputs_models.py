@@ -175,6 +175,7 @@ def outside(place: Path) -> tuple[Path, ...]:
     return tuple(place.parent / name for name in ("out", "out/inner", "srdf"))
 
 
+@pytest.mark.row(17)
 @pytest.mark.skipif(not LINUX, reason="the kernel tells of opened files on Linux")
 @pytest.mark.parametrize("kind", ["robot", "tool", "scene"])
 @pytest.mark.parametrize("case", REACHING)
@@ -189,6 +190,7 @@ def test_nothing_outside_is_opened(case: str, kind: str, place: Path) -> None:
     assert "--allow-outside" in result.stderr
 
 
+@pytest.mark.row(17)
 @pytest.mark.skipif(not LINUX, reason="the kernel tells of opened files on Linux")
 @pytest.mark.parametrize("case", [case for case in REACHING if case != "stripped_path"])
 def test_the_same_files_are_opened_when_asked(case: str, place: Path) -> None:
@@ -199,6 +201,7 @@ def test_the_same_files_are_opened_when_asked(case: str, place: Path) -> None:
     assert names, "nothing was opened: the case is none"
 
 
+@pytest.mark.row(17)
 @pytest.mark.skipif(not LINUX, reason="the kernel tells of opened files on Linux")
 @pytest.mark.parametrize("case", DROPPED)
 def test_what_is_left_out_is_not_opened(case: str, place: Path) -> None:
@@ -241,6 +244,7 @@ def test_what_stands_inside_is_read(place: Path) -> None:
     files.judge(shipped_folder("scenes") / "whiteboard.xml", files.real([shipped_folder("scenes")]))
 
 
+@pytest.mark.row(17)
 @pytest.mark.parametrize("name", sorted(path.name for path in shipped_folder("scenes").rglob("*.xml")))
 def test_shipped_models_stay_inside(name: str) -> None:
     (path,) = shipped_folder("scenes").rglob(name)
@@ -361,6 +365,7 @@ def refused(place: Path, model: str) -> str:
     return line
 
 
+@pytest.mark.row(17)
 @pytest.mark.parametrize("case", WRONG)
 def test_a_wrong_mjcf_is_told(case: str, place: Path) -> None:
     text, message = WRONG[case]
@@ -376,12 +381,14 @@ def test_a_wrong_mjcf_is_told(case: str, place: Path) -> None:
     assert message in refused(place, "arm.xml")
 
 
+@pytest.mark.row(17)
 @pytest.mark.parametrize("case", WRONG_URDF)
 def test_a_wrong_urdf_is_told(case: str, place: Path) -> None:
     (place / "arm.urdf").write_text(WRONG_URDF[case])
     refused(place, "arm.urdf")
 
 
+@pytest.mark.row(17)
 def test_a_model_without_limits_is_noted(place: Path) -> None:
     text = PLAIN.replace(' range="-2 2" limited="true"', "").replace(' ctrlrange="-9 9" ctrllimited="true"', "")
     (place / "arm.xml").write_text(text)
@@ -391,6 +398,7 @@ def test_a_model_without_limits_is_noted(place: Path) -> None:
         assert f"limits.{limit}: the model states none for turn" in notes
 
 
+@pytest.mark.row(17)
 def test_what_may_not_be_opened_is_told(place: Path) -> None:
     for name in (".", "pipe.xml"):
         if name == "pipe.xml":

@@ -186,6 +186,7 @@ def work(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     return counts
 
 
+@pytest.mark.row(16)
 @pytest.mark.parametrize("case", ATTACKS)
 def test_an_attack_is_refused_in_its_place(case: str, tmp_path: Path, work: Counter[str]) -> None:
     file, text = tmp_path / "attack.yaml", ATTACKS[case]
@@ -198,6 +199,7 @@ def test_an_attack_is_refused_in_its_place(case: str, tmp_path: Path, work: Coun
     assert work["events"] <= 2 * source.MAX_VALUES + 10
 
 
+@pytest.mark.row(16)
 @pytest.mark.parametrize(
     "kind", ["missing", "folder", "pipe", "without permission", "link to nothing", "loop of links"]
 )
@@ -218,6 +220,7 @@ def test_what_is_no_file_is_told(kind: str, tmp_path: Path) -> None:
     assert line.startswith(f"{file}: ")
 
 
+@pytest.mark.row(16)
 @pytest.mark.parametrize(("text", "value"), [("1e3", 1000.0), ("1e-3", 0.001), ("1E3", 1000.0), ("+1.e+3", 1000.0)])
 def test_powers_of_ten_are_numbers(text: str, value: float, tmp_path: Path) -> None:
     (tmp_path / "task.yaml").write_text(changed("duration: 8", f"duration: {text}"))
@@ -273,7 +276,8 @@ def mutated(number: int) -> bytes:
     return data
 
 
-def test_mutated_files_are_read_or_refused_in_their_place(tmp_path: Path) -> None:
+@pytest.mark.row(16)
+def test_mutated_files_are_read_or_refused_in_their_place(tmp_path: Path, record_property: Any) -> None:
     wanted = os.environ.get("WBC_INPUT")
     file, counts, failed, slowest = tmp_path / "mutated.yaml", Counter[str](), [], (0.0, 0)
     for number in [int(wanted)] if wanted else range(FILES):
@@ -292,6 +296,8 @@ def test_mutated_files_are_read_or_refused_in_their_place(tmp_path: Path) -> Non
         slowest = max(slowest, (spent, number))
         if LARGE and spent > SECOND:
             failed.append((number, f"{spent:.1f} s"))
+    record_property("mutated files", f"{counts['refused']} refused, {counts['accepted']} read")
+    record_property("slowest [s]", slowest[0])
     print(dict(counts), f"slowest {slowest[0]:.3f} s: {slowest[1]}")
     told = [f"WBC_INPUT={number} pytest tests/test_inputs_specs.py -k mutated  # {why}" for number, why in failed]
     assert not failed, "\n".join(told)

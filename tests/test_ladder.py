@@ -81,10 +81,11 @@ def some(ticks, few, first=20):
     return range(first, ticks) if LARGE else np.unique(np.linspace(first, ticks - 1, few).astype(int)).tolist()
 
 
+@pytest.mark.row(1)
 @each
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_row_1_what_is_not_finite_is_refused_at_every_index(recorded, name, value):
-    case = recorded[name]
+def test_row_1_what_is_not_finite_is_refused_at_every_index(recorded, name, value, record_property):
+    case, tried = recorded[name], 0
     n = len(case.ticks) - 2
     for field in ("q", "v"):
         for i in range(case.ticks[n][1 if field == "q" else 2].size):
@@ -93,6 +94,7 @@ def test_row_1_what_is_not_finite_is_refused_at_every_index(recorded, name, valu
             out = case.step(made, n + 1, **{field: bad})
             assert out.status is Status.DEGRADED
             assert out.reason.startswith(f"{field}: expected finite numbers")
+            tried += 1
     for contact, frame in case.controller.phase.feeling.items():
         for i in range(6):
             F = np.zeros(6)
@@ -112,6 +114,8 @@ def test_row_1_what_is_not_finite_is_refused_at_every_index(recorded, name, valu
             out = case.step(made, n + 1, targets={f"{contact}.{axis}": value})
             assert f"targets.{contact}.{axis}: expected a finite number" in out.reason
             assert dict(case.controller.memory.targets) == dict(before)
+    record_property("refused [%]", 100.0)
+    record_property("entries of q and v of a robot", tried)
 
 
 WRONG = {
@@ -131,17 +135,23 @@ WRONG = {
 }
 
 
+@pytest.mark.row(2)
 @each
-@pytest.mark.parametrize("field", ["q", "v", "tau_applied", "measured"])
-@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize(
+    ("field", "wrong"),
+    [
+        (field, wrong)
+        for field in ("q", "v", "tau_applied", "measured")
+        for wrong in WRONG
+        if (field, wrong) != ("tau_applied", "nothing")  # that is its default
+    ],
+)
 def test_row_2_a_wrong_array_is_named_and_leaves_no_trace(recorded, name, field, wrong):
     """The next good tick's torque is bit for bit that of a run in which the call was never made."""
     case = recorded[name]
     n, (spoil, said) = len(case.ticks) - 3, WRONG[wrong]
     _, q, v, *_ = case.ticks[n + 1]
     x = {"q": q, "v": v, "tau_applied": case.controller.memory.tau, "measured": np.arange(6.0)}[field]
-    if field == "tau_applied" and wrong == "nothing":
-        pytest.skip("that is its default")
     bad = spoil(x)
     contact, frame = next(iter(case.controller.phase.feeling.items()))
     out = case.step(case.at(n, 2), n + 1, **{field: {contact: wbc.Wrench(bad, frame)} if field == "measured" else bad})
@@ -155,6 +165,7 @@ def test_row_2_a_wrong_array_is_named_and_leaves_no_trace(recorded, name, field,
         np.testing.assert_array_equal(after.tau, never.tau, made.repeat)
 
 
+@pytest.mark.row(2)
 @pytest.mark.parametrize(
     ("given", "said"),
     [
@@ -177,6 +188,7 @@ def test_row_2_other_arguments_are_named_as_well(recorded, given, said):
     assert out.status is Status.LIMITED
 
 
+@pytest.mark.row(3)
 def test_row_3_quaternions_are_normalised_within_a_thousandth_and_refused_beyond(recorded):
     case = recorded["go2_stand"]
     n = len(case.ticks) - 2
@@ -200,6 +212,7 @@ def test_row_3_quaternions_are_normalised_within_a_thousandth_and_refused_beyond
     np.testing.assert_allclose(case.step(case.at(n, 3), n + 1, q=other).tau, good.tau, atol=1e-12)
 
 
+@pytest.mark.row(4)
 @each
 @pytest.mark.parametrize("stamp", ["nan", "inf", "none", "text"])
 def test_row_4_a_stamp_that_is_no_time_is_refused(recorded, name, stamp):
@@ -210,7 +223,8 @@ def test_row_4_a_stamp_that_is_no_time_is_refused(recorded, name, stamp):
     assert out.reason.startswith("t: expected a finite time [s]")
 
 
-def test_row_4_integrators_take_two_periods_at_most_and_the_clock_never_runs_backwards(recorded):
+@pytest.mark.row(4)
+def test_row_4_integrators_take_two_periods_at_most_and_the_clock_never_runs_backwards(recorded, record_property):
     case = recorded["eraser"]
     n = len(case.ticks) - 2
     t, seen = case.ticks[n][0], {}
@@ -222,9 +236,11 @@ def test_row_4_integrators_take_two_periods_at_most_and_the_clock_never_runs_bac
         assert memory.t >= t
     assert seen[0.002] > seen[0.001] > 0.0
     assert all(seen[jump] <= seen[0.002] * (1 + 1e-9) for jump in (0.01, 5.0, 1e12))
+    record_property("most that was integrated, over 2 dt", max(seen.values()) / seen[0.002])
     assert seen[0.0] == seen[-0.01] == seen[-1e12] == 0.0
 
 
+@pytest.mark.row(4)
 @each
 @pytest.mark.parametrize("back", [0.0, 0.7])
 def test_row_4_a_time_that_does_not_go_on_is_stale_after_20_ticks(recorded, name, back):
@@ -241,8 +257,9 @@ def test_row_4_a_time_that_does_not_go_on_is_stale_after_20_ticks(recorded, name
     assert case.step(made, n + 1).status in (Status.OK, Status.LIMITED)  # counted anew
 
 
+@pytest.mark.row(6)
 @each
-def test_row_6_a_solver_that_fails_once_is_held_and_the_next_good_tick_is_accepted(recorded, name):
+def test_row_6_a_solver_that_fails_once_is_held_and_the_next_good_tick_is_accepted(recorded, name, record_property):
     case, accepted, tried = recorded[name], 0, 0
     for n in some(len(case.ticks) - 2, 40):
         made = case.at(n, 6)
@@ -253,9 +270,11 @@ def test_row_6_a_solver_that_fails_once_is_held_and_the_next_good_tick_is_accept
         assert "RuntimeError: planned" in out.reason
         after = case.step(made, n + 2)
         tried, accepted = tried + 1, accepted + (max(after.certificate) < 1e-6)
+    record_property("next good ticks accepted", f"{accepted} of {tried}")
     assert accepted >= 0.999 * tried, f"{accepted} of {tried}"
 
 
+@pytest.mark.row(6)
 @each
 def test_row_6_a_solver_that_fails_for_ever_is_held_five_ticks_then_safely(recorded, name):
     """And the held torque carries the weight and the last wrenches, as the theory of statics has it."""
@@ -295,6 +314,7 @@ def test_good_ticks_apply_at_once_and_ten_in_a_row_end_the_recovery(recorded):
     assert outs[GOOD_TICKS - 1].status is Status.OK
 
 
+@pytest.mark.row(11)
 @each
 def test_row_11_missed_ticks_degrade_and_stop(recorded, name):
     case = recorded[name]

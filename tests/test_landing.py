@@ -11,7 +11,8 @@ import pytest
 from bars import GROUND
 
 from wbc.build import build
-from wbc.footing import COUNTED, LIFTED, MISSING, TOUCHED, Footing, Ground
+from wbc.footing import LIFTED, Footing
+from wbc.grounds import COUNTED, MISSING, TOUCHED, Ground
 from wbc.resources import shipped_folder
 from wbc.run import run
 from wbc.spec import load

@@ -79,8 +79,9 @@ def free(seen, binding=None):
     return rows, binding, Z, Z @ np.linalg.solve(Z.T @ problem.H @ Z, Z.T)
 
 
+@pytest.mark.row(7)
 @pytest.mark.parametrize("name", SPECS)
-def test_row_7_what_moves_a_torque_is_refused(name):
+def test_row_7_what_moves_a_torque_is_refused(name, record_property):
     rng = np.random.default_rng(7)
     repeat = f"pytest tests/test_lies.py -k {name}"
     weakest = leaning = letting = worst = 0.0
@@ -156,4 +157,6 @@ def test_row_7_what_moves_a_torque_is_refused(name):
           f"on one that binds {letting:.1e} "
           f"(worst let through {worst:.1e})")  # fmt: skip
     print(told)
+    for what, bound in (("weakest direction", weakest), ("leaning", max(leaning, letting)), ("let through", worst)):
+        record_property(f"{what} [N m]", float(bound))
     assert max(weakest, leaning, letting, worst) <= MOVES, f"{told}; repeat: {repeat}"

@@ -76,6 +76,7 @@ def drive(limit, q, v, jerk, push, ticks):
     return *map(np.array, zip(*history, strict=True)), asked
 
 
+@pytest.mark.row(9)
 @pytest.mark.parametrize("start", ["inside", "at the bound"])
 def test_a_joint_stops_in_time_from_every_viable_state(rng, start):
     """And asks for less jerk than the model has: the bound is never empty for a motor of that rate."""
@@ -95,6 +96,7 @@ def test_a_joint_stops_in_time_from_every_viable_state(rng, start):
     assert late.max() < 0.2
 
 
+@pytest.mark.row(9)
 def test_random_viable_states_stay_viable():
     """1e5 of them at the full size: any range, speed, brake, jerk and acceleration limit, pushed to and fro as hard as
     the bounds allow. No bound is empty, none is overstepped, and no more jerk is asked for than there is."""
@@ -205,6 +207,7 @@ def test_the_stopping_distance_is_not_wasteful(rng):
         assert 0.9 * perfect[i] <= far <= 4 * perfect[i] + 0.02 * v_max[i]
 
 
+@pytest.mark.row(9)
 def test_beyond_its_range_a_joint_comes_back(rng):
     n = 100
     limit, half, v_max, jerk = joints(rng, n)
@@ -215,6 +218,7 @@ def test_beyond_its_range_a_joint_comes_back(rng):
     assert (v_at[-1] <= 1.01 * v_max).all()
 
 
+@pytest.mark.row(9)
 def test_bounds_are_never_empty_at_any_state(rng):
     limit, half, v_max, _ = joints(rng, 1000)
     for _ in range(100):

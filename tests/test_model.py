@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from wbc import crosscheck
 from wbc import model as models
 from wbc.errors import ModelError, ModelMismatch
 from wbc.robot import Robot
@@ -23,7 +24,7 @@ SHIPPED = [
 @pytest.mark.parametrize(("robot", "tool", "scene"), SHIPPED)
 def test_shipped_robots_mean_the_same_in_both(robot, tool, scene):
     mj = models.compile_model(models.compose(robot, tool, scene)[0])
-    worst = models.disagreement(mj, models.pinocchio_model(mj), states=20, seed=1)
+    worst = crosscheck.disagreement(mj, models.pinocchio_model(mj), states=20, seed=1)
     assert set(worst) == {"M", "h", "g", "J", "drift", "pose"}
     assert max(worst.values()) <= 1e-9, worst
 
@@ -76,7 +77,7 @@ def random_mjcf(seed):
 @pytest.mark.parametrize("seed", range(40))
 def test_random_models_mean_the_same_in_both(seed):
     mj = models.compile_model(mujoco.MjSpec.from_string(random_mjcf(seed)))
-    worst = models.disagreement(mj, models.pinocchio_model(mj), states=5, seed=seed)
+    worst = crosscheck.disagreement(mj, models.pinocchio_model(mj), states=5, seed=seed)
     assert max(worst.values()) <= 1e-9, worst
 
 
@@ -106,7 +107,7 @@ def test_a_tampered_model_is_refused_by_the_quantities_that_differ(bare_panda, t
     with pytest.raises(
         ModelMismatch, match=r"disagree beyond 1e-08: .* by .*the conversion does not carry over"
     ) as caught:
-        models.require_agreement(bare_panda.mujoco, tampered)
+        crosscheck.require_agreement(bare_panda.mujoco, tampered)
     assert set(caught.value.differences) == differs
 
 
@@ -114,12 +115,12 @@ def test_a_moved_joint_or_site_is_refused(bare_panda):
     moved = bare_panda.model.copy()
     moved.jointPlacements[4] = moved.jointPlacements[4] * pin.SE3(np.eye(3), np.array([0.0, 1e-4, 0.0]))
     with pytest.raises(ModelMismatch, match=r"M by .*pose by"):
-        models.require_agreement(bare_panda.mujoco, moved)
+        crosscheck.require_agreement(bare_panda.mujoco, moved)
     moved = bare_panda.model.copy()
     flange = moved.frames[moved.getFrameId("flange")]
     flange.placement = flange.placement * pin.SE3(pin.exp3(np.array([0.0, 1e-5, 0.0])), np.zeros(3))
     with pytest.raises(ModelMismatch, match=r"J by .*drift by .*pose by") as caught:
-        models.require_agreement(bare_panda.mujoco, moved)
+        crosscheck.require_agreement(bare_panda.mujoco, moved)
     assert set(caught.value.differences) == {"J", "drift", "pose"}
 
 
@@ -127,7 +128,7 @@ def test_a_number_that_is_not_one_is_a_disagreement(bare_panda):
     broken = bare_panda.model.copy()
     broken.armature = np.full(7, np.nan)
     with pytest.raises(ModelMismatch, match="M by inf"):
-        models.require_agreement(bare_panda.mujoco, broken)
+        crosscheck.require_agreement(bare_panda.mujoco, broken)
 
 
 # --- URDF ---

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from wbc.centroidal import WholeBodyPosture
-from wbc.controller import Controller, Status
+from wbc.controller import Controller
 from wbc.foot import RoundFoot
 from wbc.friction import unilateral
+from wbc.ladder import Status
 from wbc.reference import Hold
 from wbc.sim import Simulator
 from wbc.task import MotionTask, PostureTask

@@ -13,10 +13,11 @@ from wbc.build import build
 from wbc.centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture, com, load, mass, momentum
 from wbc.check import check
 from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
-from wbc.controller import Controller, Status
+from wbc.controller import Controller
 from wbc.errors import ModelError, SpecError
 from wbc.foot import RoundFoot
 from wbc.friction import unilateral
+from wbc.ladder import Status
 from wbc.oracle import relative
 from wbc.pair import seen
 from wbc.reference import Hold, Path, sine

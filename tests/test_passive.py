@@ -10,8 +10,9 @@ import pytest
 
 from wbc.build import build
 from wbc.coordinates import own_coordinates, to_mujoco
+from wbc.crosscheck import site_jacobian
 from wbc.errors import ModelError, SpecError
-from wbc.model import open_welds, site_jacobian
+from wbc.model import open_welds
 from wbc.robot import Robot
 from wbc.run import run
 from wbc.sim import Simulator

@@ -18,7 +18,7 @@ from peers.loop import Program, order, tick
 from peers.problems import problems, states
 from peers.urdf import write_urdf
 
-from wbc.controller import Status
+from wbc.ladder import Status
 
 WORLD = pin.LOCAL_WORLD_ALIGNED
 ROBOTS = {"arm": "panda", "arm, unique": "ur5e", "quadruped": "go2", "humanoid": "g1", "humanoid, unique": "g1"}

@@ -10,8 +10,8 @@ import pytest
 
 import wbc
 from wbc.build import build
-from wbc.controller import Status
 from wbc.errors import NameNotFound, SpecError
+from wbc.ladder import Status
 from wbc.limit import make_limits
 from wbc.phase import Phase
 from wbc.reference import hold

@@ -17,9 +17,10 @@ import wbc
 from wbc.again import again
 from wbc.build import build
 from wbc.cli import main
-from wbc.controller import Memory, Status
 from wbc.errors import LogError
+from wbc.ladder import Status
 from wbc.log import Log
+from wbc.memory import Memory
 from wbc.pack import Codec, Foreign
 from wbc.part import differ, part, settings
 from wbc.run import run

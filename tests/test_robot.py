@@ -5,8 +5,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from wbc.convention import to_pinocchio
+from wbc.crosscheck import site_jacobian
 from wbc.errors import ModelError, NameNotFound
-from wbc.model import site_jacobian, to_pinocchio
 from wbc.robot import Robot
 
 FRAMES = {"panda on the board": "eraser", "panda": "flange", "ur5e": "flange", "planar3r": "flange"}

@@ -16,10 +16,11 @@ from wbc.build import build
 from wbc.centroidal import ComTask, DistributionTask, com, mass
 from wbc.check import check
 from wbc.contact import AxesContact, Settling
-from wbc.controller import Controller, Status
+from wbc.controller import Controller
 from wbc.errors import LawError, NameNotFound, SpecError, StateError
 from wbc.foot import RoundFoot
 from wbc.friction import unilateral
+from wbc.ladder import Status
 from wbc.phase import place
 from wbc.reference import Path, sine
 from wbc.resources import shipped_folder

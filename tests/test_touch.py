@@ -7,8 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from wbc import kernels
-from wbc import model as models
+from wbc import convention, kernels
 from wbc.coordinates import Coordinates
 from wbc.robot import Robot
 from wbc.sim import Simulator
@@ -103,7 +102,7 @@ def test_coordinates_are_read_as_the_model_converts_them(go2, name, rng):
         q = pin.integrate(robot.model, robot.keyframes["home"], rng.normal(size=robot.nv))
         coordinates.write(data, q)
         data.qvel[coordinates.qvel] = rng.normal(size=robot.nv)
-        wanted = models.to_pinocchio(mj, data.qpos[coordinates.qpos], data.qvel[coordinates.qvel])
+        wanted = convention.to_pinocchio(mj, data.qpos[coordinates.qpos], data.qvel[coordinates.qvel])
         found = coordinates.read(data)
         np.testing.assert_allclose(found[0], wanted[0], atol=1e-15)
         np.testing.assert_allclose(found[1], wanted[1], atol=1e-14)

@@ -79,8 +79,9 @@ def test_what_is_kept_is_viable():
         assert (np.minimum(bound, joints.a) <= theory + 1e-9).all()
 
 
+@pytest.mark.row(9)
 @pytest.mark.parametrize("exact", [True, False], ids=["held for the tick", "speed first"])
-def test_from_viable_states_to_rest(exact):
+def test_from_viable_states_to_rest(exact, record_property):
     """Pushed to and fro, then outwards until they rest, with no more jerk than there is: no bound is empty, none is
     overstepped, every state on the way is viable by the theory."""
     rng = np.random.default_rng(8)
@@ -109,6 +110,8 @@ def test_from_viable_states_to_rest(exact):
             if not joints.n:
                 break
     assert not joints.n or np.abs(v).max() <= 1e-2
+    record_property("overshoot [rad]", float(over))
+    record_property("states", STATES)
     assert over <= OVERSHOOT
     assert fast <= 1.001
     assert asked <= 1.0
@@ -129,6 +132,7 @@ def _awake(joints, q, v, *more):
     return some, [each[keep] for each in (q, v, *more)]
 
 
+@pytest.mark.row(9)
 def test_from_outside_they_come_back():
     """Beyond the range and on the way out or in: never an empty bound, no further out than the theory's brake must go,
     back inside and there to stay."""
@@ -150,6 +154,7 @@ def test_from_outside_they_come_back():
     assert (peak - farthest).max() <= OVERSHOOT
 
 
+@pytest.mark.row(9)
 def test_a_robot_beyond_its_range_comes_back_and_says_so(bare_panda):
     """And a task that pulls it out is not followed."""
     for joint in (1, 3, 5):
@@ -170,6 +175,7 @@ def test_a_robot_beyond_its_range_comes_back_and_says_so(bare_panda):
         assert f"position[{bare_panda.joints[joint]}]" in out.active  # the goal is still out there
 
 
+@pytest.mark.row(9)
 @pytest.mark.parametrize("name", ["panda", "ur5e"])
 def test_all_limits_of_a_robot_leave_an_answer_in_every_viable_state(name, request):
     """Torque, its rate, position, velocity and acceleration together, all joints at any viable speed at once, the

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 _HOME = {
-    "Controller": "controller", "Output": "controller", "Phase": "controller", "Status": "controller",
+    "Controller": "controller", "Output": "memory", "Phase": "phase", "Status": "ladder",
     "Robot": "robot", "State": "robot", "Frame": "frame", "Wrench": "wrench", "ForceSensor": "wrench",
     "AxesContact": "contact", "Contact": "contact", "MatrixContact": "contact", "ScrewContact": "contact",
     "SphereContact": "contact", "WorldAxesContact": "contact",
@@ -19,6 +19,7 @@ _HOME = {
     "ComTask": "centroidal", "DistributionTask": "centroidal", "MomentumTask": "centroidal",
     "WholeBodyPosture": "centroidal", "GazeTask": "relative", "RelativeTask": "relative", "TorqueTask": "effort",
     "RoundFoot": "foot", "weighed": "dynamics",
+    "Explanation": "explanation", "explain": "explanation",
     "Replay": "replay", "Tape": "tape", "WbcError": "errors", "SpecError": "errors", "load": "spec",
 }  # fmt: skip
 _MODULES = ("analytic", "errors", "reference", "solver", "testing")
@@ -29,12 +30,16 @@ if TYPE_CHECKING:
     from . import analytic, errors, reference, solver, testing
     from .centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
     from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
-    from .controller import Controller, Output, Phase, Status
+    from .controller import Controller
     from .dynamics import weighed
     from .effort import TorqueTask
     from .errors import SpecError, WbcError
+    from .explanation import Explanation, explain
     from .foot import RoundFoot
     from .frame import Frame
+    from .ladder import Status
+    from .memory import Output
+    from .phase import Phase
     from .qp import Rows
     from .reference import Sample
     from .relative import GazeTask, RelativeTask

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .controller import Controller, Output
+from .controller import Controller
 from .errors import LogError
+from .memory import Output
 from .qp import Array
 from .replay import Recorded, Replay
 from .tape import Arguments

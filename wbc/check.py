@@ -10,9 +10,12 @@ import numpy as np
 import pinocchio as pin
 
 from .build import build
-from .controller import Controller, Output, Phase, Status
+from .controller import Controller
 from .free_motion import MassRange
+from .ladder import Status
 from .limit import TorqueLimit
+from .memory import Output
+from .phase import Phase
 from .spec import Spec
 from .stability import Pole
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
+from click.core import ParameterSource
 
 from . import __version__
 from .errors import Fault, LogError, SpecError, WbcError
@@ -147,38 +148,51 @@ def verify(spec: str, solver: str | None, seed: int, overrides: tuple[str, ...],
 
 
 @main.command()
-@click.argument("spec")
-@click.option("--at", type=float, required=True, metavar="T", help="Which tick, by the simulated time [s].")
+@click.argument("what", metavar="SPEC|LOG")
+@click.option("--at", type=float, metavar="T", help="Which tick, by its time [s].")
+@click.option("--tick", type=click.IntRange(min=0), metavar="K", help="Which tick, from 0.")
 @_SEED
 @_SOLVER
 @_HIERARCHY
 @_SET
 @_JSON
 def explain(
-    spec: str,
-    at: float,
+    what: str,
+    at: float | None,
+    tick: int | None,
     seed: int,
     solver: str | None,
     hierarchy: str | None,
     overrides: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Run SPEC to the time T and explain that tick: what conflicts, or what made the torque."""
-    with _faults(spec, as_json):
-        if not at >= 0.0:
-            raise WbcError(f"--at {at:g}: expected a time of 0 or more [s]")
-        loaded = _load(spec, overrides, solver, None, hierarchy)
-        loaded = _load(spec, overrides, solver, at + 1.0 / loaded.rate, hierarchy)
-        from .build import build
-        from .explain import explain as examine
+    """Explain one tick, of LOG (a log.npz, or its folder) or a run of SPEC: what conflicts, or what made the torque."""
+    if (at is None) == (tick is None):
+        raise click.UsageError("expected one of --at and --tick, to name a tick")
+    given = click.get_current_context().get_parameter_source("seed") is not ParameterSource.DEFAULT
+    with _faults(what, as_json):
+        from .arrive import is_log, logged, simulated
         from .explained import tell
-        from .run import run as simulate
+        from .explanation import explain as examine
 
-        built = build(loaded)
-        with _progress(f"run to {at:g} s", round(loaded.duration * loaded.rate)) as progress:
-            simulate(built, seed, progress)
-        told = examine(built.controller)
-    _emit({"spec": Path(loaded.file).stem} | told.as_json(), as_json, lambda: tell(told, _console()))
+        if at is not None and not 0.0 <= at < math.inf:
+            raise WbcError(f"--at {at:g}: expected a time of 0 or more [s]")
+        if is_log(what):
+            if given:
+                raise WbcError("--seed is of a run; the log has its own")
+            changes = (*overrides, *([f"hierarchy={hierarchy}"] if hierarchy else []))
+            controller, about = logged(what, tick, at, solver, changes)
+        else:
+            loaded = _load(what, overrides, solver, None, hierarchy)
+            end = at + 1.0 / loaded.rate if at is not None else ((tick or 0) + 1) / loaded.rate
+            loaded = _load(what, overrides, solver, end, hierarchy)
+            with _progress("run to the tick", round(loaded.duration * loaded.rate)) as progress:
+                controller = simulated(loaded, seed, progress)
+            about = {"spec": Path(loaded.file).stem, "notes": []}
+        told = examine(controller)
+    for note in about["notes"]:
+        click.echo(f"note: {note}", err=True)
+    _emit(about | told.as_json(), as_json, lambda: tell(told, _console()))
     sys.exit(0)
 
 
@@ -292,6 +306,47 @@ def _bisect(a: str, b: str, as_json: bool) -> NoReturn:
 
         result = part.found(Replay(a), Replay(b))
     _emit(result, as_json, lambda: part.tell(result, _console()))
+    sys.exit(0 if result["ok"] else 1)
+
+
+@main.command()
+@click.argument("specs", nargs=-1)
+@click.option("--seeds", type=click.IntRange(min=1), default=100, show_default=True, help="How many seeds.")
+@click.option("--first", type=click.IntRange(min=0), default=0, show_default=True, help="The first of them.")
+@click.option("--seed", type=click.IntRange(min=0), help="Only this one.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="How many processes.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write campaign.json there.")
+@_SOLVER
+@_HIERARCHY
+@_SET
+@_JSON
+def campaign(
+    specs: tuple[str, ...],
+    seeds: int,
+    first: int,
+    seed: int | None,
+    jobs: int,
+    out: Path | None,
+    solver: str | None,
+    hierarchy: str | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Let everything go wrong on SPECS (some of the shipped ones when left out), and hold every tick against what must
+    always hold."""
+    chosen = range(first, first + seeds) if seed is None else range(seed, seed + 1)
+    with _faults(specs[0] if specs else "the campaign", as_json):
+        from . import campaign as campaigns
+
+        cases = campaigns.cases(specs, overrides, solver, hierarchy)
+        for case in cases:
+            _load(case.spec, case.changes)
+        folder = _folder(out) if out is not None else None
+        with _progress("campaign", len(chosen)) as progress:
+            result = campaigns.campaign(cases, chosen, jobs, progress)
+        if folder is not None:
+            (folder / "campaign.json").write_text(json.dumps(_plain(result), allow_nan=False, indent=1) + "\n")
+    _emit(result, as_json, lambda: _console().print(campaigns.table(result)))
     sys.exit(0 if result["ok"] else 1)
 
 

@@ -2,33 +2,40 @@
 
     lo <= C x <= hi  by name,     E x = e  always (the dynamics)
 
-A set is infeasible when no x satisfies it, and irreducible when it is feasible without any one of its names. It is
-found by a deletion filter (Chinneck and Dravnieks, 1991): drop a name; if the rest is still infeasible, it stays out.
-The filter starts from the names with a share in the certificate of Farkas, y >= 0 with y'C = 0 and y'd < 0, which the
-least violation of all rows at once approximates, from the smallest share on. Solved by DAQP as least distances: no cost
-has a say in what is feasible.
+Whether the rows of some names hold together is asked of one linear program, which HiGHS's simplex solves,
+
+    min t     s.t.     lo - s - r t <= C x <= hi + s + r t,     E x = e,     s, t >= 0
+
+with r the norms of the rows, and s one number a name: zero where it counts, free where it is left out. It always has an
+answer, so nothing hangs on a solver's word that there is none. At t = 0 its x satisfies them; at t > 0 its multipliers
+y >= 0 are Farkas's certificate (y'C = 0 beside E, and y'd < 0) that nothing does. Either is measured on the rows.
+
+A set is infeasible when no x satisfies it, and irreducible when it is feasible without any one of its names. The rows
+with y > 0 at a vertex are an irreducible set of rows (Gleeson and Ryan, 1990); as a name may have several, a deletion
+filter (Chinneck and Dravnieks, 1991) goes through their names, the smallest y first: drop one; if the rest is still
+infeasible, it stays out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .hierarchy import shortest
+from .errors import SolverError
 from .qp import Array
 
 Mask = NDArray[np.bool_]
-CONTRADICTED = 1e-6  # of equalities, relative to 1 + their right hand side
-NOTHING = 1e-9  # a row whose norm is less, relative to what it was, does not depend on what is left free
-SOFT = 1e-6  # of violations against distance, where all rows may give way
-PULLS = (1e-6, 1e-4, 1e-2)  # towards the last iterate, where one name gives way: the next where one has no answer
-SETTLED = 1e-8
 TOLERANCE = 1e-6  # of rows of norm 1 that together still have an answer
-STEPS = 30
-_SOFT_ROW = 8  # DAQP's flag
+FAR = 1e6  # [rad/s^2, m/s^2, N, N m] a certificate excludes every x within
+SHARE = 1e-9  # of the largest y: less is rounding
+# of HiGHS; a number of threads would be that of all its programs in the process
+OPTIONS: dict[str, Any] = {
+    "output_flag": False, "presolve": "off", "parallel": "off", "simplex_scale_strategy": 0,
+    "small_matrix_value": 1e-12, "primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9,
+}  # fmt: skip
 
 
 class Member(NamedTuple):
@@ -45,160 +52,163 @@ class Member(NamedTuple):
 class System:
     """Named rows lo <= C x <= hi (m,), beside equalities that always hold; `names` (m,) may repeat.
 
-    Rows of one name come and go together.
+    Rows of one name come and go together. All that is asked of it raises SolverError where HiGHS has no answer that
+    holds on the rows themselves.
     """
 
     def __init__(self, C: Array, lo: Array, hi: Array, names: Sequence[str], E: Array, e: Array) -> None:
-        x, Z = shortest(E, e)
-        at = C @ x
-        self.C, self.lo, self.hi, self._size = C @ Z, lo - at, hi - at, np.linalg.norm(C, axis=1)
         self.names = tuple(dict.fromkeys(names))
-        numbers = {name: i for i, name in enumerate(self.names)}
-        self._number = np.array([numbers[name] for name in names], np.intp)
-        self._of = {name: self._number == i for name, i in numbers.items()}
-        # equalities -> C of what solves them, C of what they leave free, and which rows that moves
-        self._solved: dict[bytes, tuple[Array, Array, Mask]] = {}
+        self._number = {name: i for i, name in enumerate(self.names)}
+        self._named = np.array([self._number[name] for name in names], np.intp)
+        upper, lower = np.flatnonzero(np.isfinite(hi)), np.flatnonzero(np.isfinite(lo))
+        norm = np.linalg.norm(C, axis=1)
+        norm[norm == 0.0] = 1.0
+        self._row = np.concatenate((upper, lower))  # of each of A x <= b, rows of norm 1
+        self._upper = np.arange(self._row.size) < upper.size
+        self._give = 1.0 / norm[self._row]  # what s gives to each
+        self._A = np.concatenate((C[upper], -C[lower])) * self._give[:, None]
+        self._b = np.concatenate((hi[upper], -lo[lower])) * self._give
+        self._of = self._named[self._row]
+        self._E, self._e = E, e
+        self._slack = C.shape[1] + np.arange(len(self.names) + 1, dtype=np.int32)  # columns of s, at last that of t
+        self._highs = self._program()
 
     def rows(self, names: Sequence[str]) -> Mask:
         """(m,) the rows of some names."""
-        return np.logical_or.reduce([np.zeros(self.lo.size, bool), *(self._of[name] for name in names)])
+        return self._counting(names)[self._named]
 
     def feasible(self, names: Sequence[str]) -> bool:
         """Whether some x satisfies the rows of these names."""
-        reduced = self._reduced(self.rows(names))
-        return reduced is not None and (_nearest(*reduced) is not None or _violation(*reduced) <= TOLERANCE)
+        return self._contradiction(names) is None
 
     def conflict(self, among: Sequence[str] | None = None) -> tuple[str, ...]:
-        """Names of an irreducible infeasible set; none where all hold together."""
-        left = list(self.names if among is None else among)
-        if self.feasible(left):
-            return ()
-        share = self._shares(left)
-        involved = [name for name in left if share[name] > 0.0]
-        if len(involved) < len(left) and not self.feasible(involved):
-            left = involved
-        for name in sorted(left, key=lambda each: share[each]):
-            rest = [each for each in left if each != name]
-            if not self.feasible(rest):
-                left = rest
-        return tuple(sorted(left, key=lambda each: -share[each]))
+        """Names of an irreducible infeasible set, the largest share first; none where all hold together."""
+        y = self._contradiction(self.names if among is None else among)
+        return () if y is None else self._irreducible(y, ())[0]
 
-    def members(self, names: Sequence[str], among: Sequence[str]) -> list[Member]:
-        """What is to be told of every name of a conflict, those first that stand in every conflict `among` names."""
-        y = self._multipliers(self.rows(names))
-        found = []
-        for name in names:
-            own = np.flatnonzero(self._of[name])
-            row = int(own[np.argmax(np.abs(y[own]))])
-            needs = self.relaxation(name, among)
-            found.append(Member(name, row, bool(y[row] > 0.0), np.inf if needs is None else needs, needs is not None))
-        return sorted(found, key=lambda each: not each.frees)
+    def members(self, among: Sequence[str] | None = None) -> list[Member]:
+        """The same with what is to be told of each, those first that stand in every conflict."""
+        among = self.names if among is None else among
+        y, found = self._contradiction(among), list[Member]()
+        if y is None:
+            return found
+        frees = self._frees(y, among)
+        names, y = self._irreducible(y, frees)
+        for name in sorted(names, key=lambda each: each not in frees):
+            own = np.flatnonzero(self._of == self._number[name])
+            most = own[np.argmax(y[own])]
+            row, upper = int(self._row[most]), bool(self._upper[most])
+            found.append(Member(name, row, upper, frees.get(name, np.inf), name in frees))
+        return found
 
-    def relaxation(self, name: str, names: Sequence[str]) -> float | None:
-        """By how much the rows of one name must give way for those of the others to hold; None where they never do.
+    def _frees(self, y: Array, among: Sequence[str]) -> dict[str, float]:
+        """Names without which all others hold, and what each needs: they stand in every contradiction."""
+        everywhere, needs = self._involved(y), dict[str, float]()
+        for name in tuple(everywhere):
+            if name in everywhere:
+                other = self._contradiction([each for each in among if each != name])
+                if other is None:
+                    needs[name] = self._relaxation(name, among)
+                else:
+                    involved = self._involved(other)
+                    everywhere = [each for each in everywhere if each in involved]
+        return needs
 
-        min t over z: that alone decides neither; a pull towards the last z vanishes as it converges.
-        """
-        others, own = self.rows([each for each in names if each != name]), self._of[name]
-        reduced = self._reduced(others, own)
-        if reduced is None or _nearest(*reduced[:3]) is None:
-            return None
-        C, lo, hi, B, low, high = reduced
-        d, up, down = C.shape[1], np.isfinite(high), np.isfinite(low)
-        give = np.concatenate((B[up], -B[down]))
-        rows = np.zeros((len(C) + len(give) + 1, d + 1))
-        rows[: len(C), :d], rows[len(C) : -1, :d], rows[len(C) : -1, d], rows[-1, d] = C, give, -1.0, 1.0
-        most = np.concatenate((hi, high[up], -low[down], [np.inf]))
-        least = np.concatenate((lo, np.full(len(give), -np.inf), [0.0]))
-        return next((t for pull in PULLS if (t := _least(d, rows, least, most, pull)) is not None), None)
+    def _relaxation(self, name: str, names: Sequence[str]) -> float:
+        """By how much the rows of one name must give way for those of the others to hold, where they can."""
+        counting, number = self._counting(names), self._number[name]
+        give = np.where(self._of == number, self._give, 0.0)
+        for z, y, w in self._answers(counting, number):
+            s = float(z[self._slack[number]])
+            bound, _ = self._bound(y, w)
+            if self._missed(z, counting, give * s) <= TOLERANCE and s - bound <= TOLERANCE * (1.0 + s):
+                return s
+        raise SolverError(f"HiGHS found no least relaxation of {name} that holds")
 
-    def _reduced(self, on: Mask, more: Mask | None = None) -> Any:
-        """Rows and bounds of the inequalities among some rows, with the equalities among them solved for, and the same
-        of `more` rows, whatever they are; None where equalities contradict one another, or bounds cross."""
-        lo, hi = self.lo, self.hi
-        if not (lo[on] <= hi[on]).all():
-            return None
-        equal, rest, C = on & (lo == hi), on & (lo != hi), self.C
-        key = equal.tobytes()
-        if key not in self._solved:
-            x, N = shortest(C[equal], lo[equal])
-            left = C @ N
-            self._solved[key] = C @ x, left, np.linalg.norm(left, axis=1) > NOTHING * self._size
-        at, C, free = self._solved[key]
-        if (np.abs(at - lo)[equal] > CONTRADICTED * (1.0 + np.abs(lo[equal]))).any():
-            return None
-        lo, hi = lo - at, hi - at
-        fixed = rest & ~free
-        slack = CONTRADICTED * (1.0 + np.where(np.isfinite(lo), np.abs(lo), 0.0))
-        if (lo[fixed] > slack[fixed]).any() or (hi[fixed] < -slack[fixed]).any():
-            return None
-        rest &= free
-        reduced = C[rest], lo[rest], hi[rest]
-        return reduced if more is None else (*reduced, C[more], lo[more], hi[more])
+    def _irreducible(self, y: Array, needed: Collection[str]) -> tuple[tuple[str, ...], Array]:
+        """Names of an irreducible set among those of a contradiction, the largest share first, and its contradiction;
+        of `needed` it is known that nothing contradicts without them."""
+        left = self._involved(y)
+        for name in tuple(left):
+            if name in left and name not in needed:
+                less = self._contradiction([each for each in left if each != name])
+                if less is not None:
+                    y, left = less, self._involved(less)
+        return tuple(reversed(left)), y
 
-    def _shares(self, names: Sequence[str]) -> dict[str, float]:
-        """Largest share of any row of each name in the least violation of all; what rounding leaves is zero."""
-        y = np.abs(self._multipliers(self.rows(names))) * self._size
-        y[y < 1e-7 * y.max(initial=0.0)] = 0.0
-        most = np.zeros(len(self.names))
-        np.maximum.at(most, self._number, y)
-        return dict(zip(self.names, most.tolist(), strict=True))
+    def _involved(self, y: Array) -> list[str]:
+        """Names with a share in a contradiction, the smallest first."""
+        share = np.zeros(len(self.names))
+        np.maximum.at(share, self._of, y)
+        order = np.argsort(share)
+        return [self.names[i] for i in order[share[order] > SHARE * share[order[-1]]]]
 
-    def _multipliers(self, on: Mask) -> Array:
-        """(m,) multipliers of the rows when all of them may give way; positive at an upper bound."""
-        y, C, lo, hi = np.zeros(self.lo.size), self.C[on], self.lo[on], self.hi[on]
-        crossed = lo > hi
-        if crossed.any():
-            y[np.flatnonzero(on)[crossed]] = 1.0
-            return y
-        _, flag, info = _daqp(np.eye(C.shape[1]), np.zeros(C.shape[1]), C, lo, hi, _SOFT_ROW)
-        y[on] = info["lam"] if flag >= 1 else 1.0
-        return y
+    def _contradiction(self, names: Sequence[str]) -> Array | None:
+        """y (rows,) with which rows of these names contradict one another; None where some x satisfies them."""
+        counting = self._counting(names)
+        for z, y, w in self._answers(counting, len(self.names)):
+            if self._missed(z, counting) <= TOLERANCE:
+                return None
+            bound, rounding = self._bound(y, w)
+            if bound > rounding:
+                return y
+        raise SolverError(f"HiGHS neither satisfied {', '.join(names)} nor showed that nothing does")
 
+    def _counting(self, names: Sequence[str]) -> Mask:
+        """(names,) whether each is among these."""
+        counting = np.zeros(len(self.names), bool)
+        counting[[self._number[name] for name in names]] = True
+        return counting
 
-def _nearest(C: Array, lo: Array, hi: Array) -> Array | None:
-    """The shortest z with lo <= C z <= hi, or None."""
-    d = C.shape[1]
-    if not len(C):
-        return np.zeros(d)
-    z, flag, _ = _daqp(np.eye(d), np.zeros(d), C, lo, hi)
-    return None if flag < 1 else z
+    def _missed(self, z: Array, counting: Mask, more: Array | float = 0.0) -> float:
+        """By how much an answer misses the rows of names that count, which get `more`, and the equalities."""
+        x = z[: self._A.shape[1]]
+        over = (self._A @ x - self._b - more)[counting[self._of]]
+        return max(float(over.max(initial=0.0)), float(np.abs(self._E @ x - self._e).max(initial=0.0)))
 
+    def _bound(self, y: Array, w: Array) -> tuple[float, float]:
+        """The least value that multipliers y >= 0 of rows and w of equalities prove of the program, and how far off
+        their rounding may put it where no |x| exceeds `FAR`."""
+        return -float(y @ self._b + w @ self._e), FAR * float(np.abs(y @ self._A + w @ self._E).sum())
 
-def _violation(C: Array, lo: Array, hi: Array) -> float:
-    """The least t by which all rows, scaled to a norm of 1, must give way: a solver may miss an answer far away."""
-    size = np.linalg.norm(C, axis=1)
-    C, lo, hi = C / size[:, None], lo / size, hi / size
-    d, up, down = C.shape[1], np.isfinite(hi), np.isfinite(lo)
-    give = np.concatenate((C[up], -C[down]))
-    rows = np.zeros((len(give) + 1, d + 1))
-    rows[:-1, :d], rows[:-1, d], rows[-1, d] = give, -1.0, 1.0
-    most = np.concatenate((hi[up], -lo[down], [np.inf]))
-    least = np.concatenate((np.full(len(give), -np.inf), [0.0]))
-    return next((t for pull in PULLS if (t := _least(d, rows, least, most, pull)) is not None), np.inf)
+    def _answers(self, counting: Mask, least: int) -> Iterator[tuple[Array, Array, Array]]:
+        """z = (x, s, t) of the least of one slack, and multipliers of rows and equalities: from the last vertex, then
+        from none."""
+        most, cost = np.append(np.where(counting, 0.0, np.inf), 0.0), np.zeros(self._slack.size)
+        most[least], cost[least] = np.inf, 1.0
+        self._highs.changeColsBounds(most.size, self._slack, np.zeros(most.size), most)
+        self._highs.changeColsCost(most.size, self._slack, cost)
+        for _ in range(2):
+            self._highs.run()
+            if self._highs.getModelStatus() == self._optimal:
+                found = self._highs.getSolution()
+                y = -np.array(found.row_dual)
+                of_rows = np.where(counting[self._of], np.maximum(y[: len(self._A)], 0.0), 0.0)
+                yield np.array(found.col_value), of_rows, y[len(self._A) :]
+            self._highs.clearSolver()
 
+    def _program(self) -> Any:
+        """The linear program, which differs from question to question only in the bounds and costs of s and t."""
+        import highspy  # as in `solver`: where it is used
 
-def _least(d: int, rows: Array, lo: Array, hi: Array, pull: float) -> float | None:
-    """The least t of (z, t) (d + 1,) within the rows, or None where the solver has no answer."""
-    H, z, t = np.diag(np.concatenate((np.full(d, pull), [1.0]))), np.zeros(d + 1), np.inf
-    for _ in range(STEPS):
-        found, flag, _ = _daqp(H, -pull * np.concatenate((z[:d], [0.0])), rows, lo, hi)
-        if flag < 1:
-            return None if t == np.inf else t
-        z, before, t = found, t, float(found[d])
-        if abs(before - t) <= SETTLED * (1.0 + t):
-            break
-    return t
-
-
-def _daqp(H: Array, g: Array, C: Array, lo: Array, hi: Array, sense: int = 0) -> tuple[Array, int, Any]:
-    import daqp  # as in `solver`: where it is used
-
-    model = daqp.Model()
-    model.settings = {"primal_tol": 1e-9, "iter_limit": 2000, "eq_reduction": -1, "rho_soft": SOFT}
-    ones = np.ascontiguousarray
-    flag, _ = model.setup(ones(H), ones(g), ones(C), ones(hi), ones(lo), np.full(len(C), sense, dtype=np.int32))
-    if flag < 0:
-        return np.zeros(g.size), int(flag), {}
-    z, _, flag, info = model.solve()
-    return z, int(flag), info
+        m, n = self._A.shape
+        rows = np.zeros((m + len(self._E), n + self._slack.size))
+        rows[:m, :n], rows[m:, :n] = self._A, self._E
+        rows[np.arange(m), self._slack[self._of]], rows[:m, -1] = -self._give, -1.0
+        program, there = highspy.HighsLp(), rows != 0.0
+        program.num_row_, program.num_col_ = rows.shape
+        program.col_cost_ = np.zeros(rows.shape[1])
+        program.col_lower_ = np.concatenate((np.full(n, -np.inf), np.zeros(self._slack.size)))
+        program.col_upper_ = np.full(rows.shape[1], np.inf)
+        program.row_lower_ = np.concatenate((np.full(m, -np.inf), self._e))
+        program.row_upper_ = np.concatenate((self._b, self._e))
+        program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+        program.a_matrix_.start_ = np.concatenate(([0], there.sum(axis=1).cumsum())).astype(np.int32)
+        program.a_matrix_.index_ = there.nonzero()[1].astype(np.int32)
+        program.a_matrix_.value_ = rows[there]
+        self._optimal = highspy.HighsModelStatus.kOptimal
+        highs: Any = highspy.Highs()  # type: ignore[no-untyped-call]
+        for option, value in OPTIONS.items():
+            highs.setOptionValue(option, value)
+        highs.passModel(program)
+        return highs

@@ -6,83 +6,43 @@ It never raises on data; it answers with a status, and holds when there is no ce
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .contact import Contact
-from .errors import NameNotFound, StateError, WbcError, did_you_mean
-from .footing import Ground
-from .handover import Start, hand_over
+from .errors import NameNotFound, StateError
+from .grounds import floors, levels
+from .handover import hand_over
+from .holding import HELD, Answer, Holding
 from .impedance import NEW, Felt
+from .inputs import Inputs
 from .kernels import torque
-from .ladder import GOOD_TICKS, HOLD_DAMPING, HOLD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status, decayed, fewest
+from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status
+from .memory import NEW_WATCH, NOTHING, Memory, Output
 from .phase import Phase, Program, carry, carry_felt, hold, place, recall, settle_posture
-from .qp import UNCERTIFIED, Array, Certificate, Workspace
+from .qp import Array, Workspace
 from .robot import Robot, State, Terms
 from .solver import DEFAULT, Solution, Solver, make
 from .task import ForceLoop
-from .transition import STOP, Change, Watch
+from .transition import STOP, Change
 from .valid import array_fault, missed_fault, time_fault, unit
 from .whole_body import WholeBodyProgram
 from .wrench import Wrench
 
-__all__ = ["Controller", "Memory", "Output", "Phase", "Status"]
-
 _NEW_LOOP = ForceLoop()
-_NONE: Mapping[str, Any] = {}  # never written to
-_NEW_WATCH = Watch()
-_HELD = (Status.SAFE_HOLD, Status.STOPPED)
-
-
-class Output(NamedTuple):
-    """What a tick answers. `tau` (nu,) [N m], in the order of `robot.joints`, is for the driver; `vdot` (nv,) and the
-    wrenches are predicted, wrenches robot on environment."""
-
-    tau: Array
-    vdot: Array
-    wrenches: dict[str, Array]
-    active: tuple[str, ...]
-    status: Status
-    reason: str
-    certificate: Certificate
-
-
-class Memory(NamedTuple):
-    """All that a tick carries to the next: a value, to be kept and restored. Its arrays are never written to."""
-
-    t: float | None = None  # time of the last tick [s]
-    start: float = 0.0  # time of the first tick [s]
-    phase: int = 0
-    phase_start: float = 0.0
-    tau: Array = np.zeros(0)  # last torque of the motors, gravity included [N m]
-    gravity: Array = np.zeros(0)  # g(q) of the last tick [N m]
-    q: Array = np.zeros(0)
-    v: Array = np.zeros(0)
-    lam: Mapping[str, Array] = _NONE  # last certified multipliers
-    loops: Mapping[str, ForceLoop] = _NONE
-    targets: Mapping[str, float] = _NONE
-    status: Status = Status.OK
-    bad: int = 0
-    good: int = GOOD_TICKS
-    starts: Mapping[str, Start] = _NONE  # of the tasks that began after the first tick
-    watch: Watch = _NEW_WATCH  # of the phase's ways out
-    why: str = ""  # the last change of phase, or the stop
-    felt: Mapping[str, Felt] = _NONE  # what tasks know of a push
-    grounds: Mapping[str, Ground] = _NONE  # where feet that measure their force have found the floor
-    stale: int = 0  # ticks in a row whose time did not go on
 
 
 class Tick(NamedTuple):
     """The last problem that was solved, for `explain`: of which program, at which state and last torque, and the
-    answer."""
+    answer; `refused` where contacts were dropped: the problem with all of them."""
 
     program: Program
     state: State
     tau_last: Array
     solution: Solution
+    refused: Tick | None = None
 
 
 class Controller:
@@ -121,9 +81,13 @@ class Controller:
         self.notes: list[str] = []
         program = WholeBodyProgram if robot.base else Program
         self._programs: list[Program] = [program(settle_posture(phase, start, self.notes), start) for phase in phases]
+        self._spare = [each.spare(start) for each in self._programs]
         self.notes += dict.fromkeys(note for each in self._programs for note in each.notes)
-        self._contacts = {name: contact for phase in phases for name, contact in phase.contacts.items()}
-        self._feeling = {name: frame for phase in phases for name, frame in phase.feeling.items()}
+        self._holding = Holding(robot, self._terms, self._programs, self.dt, brakes)
+        self._inputs = Inputs(
+            {name: contact for phase in phases for name, contact in phase.contacts.items()},
+            {name: frame for phase in phases for name, frame in phase.feeling.items()},
+        )
         self._index = {phase.name: i for i, phase in enumerate(phases)}
         for to in (to for phase in phases if phase.exit is not None for to in phase.exit.targets):
             if to != STOP and to not in self._index:
@@ -257,7 +221,7 @@ class Controller:
             return self._safe_hold(at, moving, Status.STOPPED, f"{missed} ticks missed")
         if fault:
             return self._hold(fault)
-        if memory.status in _HELD:
+        if memory.status in HELD:
             return self._safe_hold(q, v, memory.status)
         dt = self.dt
         if memory.t is None:
@@ -277,9 +241,9 @@ class Controller:
         state = self.state = State(self._terms, q, v, t - memory.start, dt)
         state.starts = program.named(memory.starts)
         if memory.grounds:
-            state.grounds = _levels(program.phase, memory.grounds)
+            state.grounds = levels(program.phase, memory.grounds)
         hold(state, program.phase)
-        refused = self._read(state, memory, measured, targets)
+        refused = self._inputs.read(state, memory, measured, targets)
         if unread:
             refused.append(unread)
         tau_last = memory.tau
@@ -320,6 +284,7 @@ class Controller:
             if without is None:
                 return self._hold(reason, state)
             program, solution, dropped = without
+            self.tick = Tick(program, state, tau_last, solution, self.tick)
         self._dropped = program if dropped else None
         return self._accept(program, state, solution, tau_last, memory, t, refused, missed, dropped)
 
@@ -332,9 +297,10 @@ class Controller:
         self, program: Program, state: State, memory: Memory, tau_last: Array
     ) -> tuple[Program, Solution, tuple[str, ...]] | None:
         """The tick without the contacts that cannot be held, as few of them as it takes; None where none can be."""
-        names = list(program.phase.contacts)
-        for dropped in fewest(names):
-            less = program.without(dropped, state)
+        gone = [name for name in program.phase.contacts if name not in memory.lam]  # dropped at the last tick
+        spare = self._spare[memory.phase]
+        for dropped in sorted(spare, key=lambda names: (len(names), *(name not in gone for name in names))):
+            less = spare[dropped]
             state.contacts = {}
             hold(state, less.phase)
             state.starts = less.named(memory.starts)
@@ -354,8 +320,8 @@ class Controller:
         before, index = self._programs[memory.phase], self._index[change.to]
         after = self._programs[index]
         state.contacts = {}
-        grounds = _found(state, after.phase, memory.grounds, {}) if after.phase.standing else _NONE
-        state.grounds = _levels(after.phase, grounds)
+        grounds = floors(state, after.phase, memory.grounds, {}) if after.phase.standing else NOTHING
+        state.grounds = levels(after.phase, grounds)
         hold(state, after.phase)
         carry(state, after.phase)
         tau = np.concatenate((np.zeros(self.robot.base), after.phase.torque.inside(tau)))  # of all velocities
@@ -363,7 +329,7 @@ class Controller:
         why = _told(before.phase, change)
         felt = {name: memory.felt[name] for name in after.phase.compliant if name in memory.felt}
         return memory._replace(
-            phase=index, phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH, why=why, felt=felt,
+            phase=index, phase_start=t, starts=starts, loops=loops, watch=NEW_WATCH, why=why, felt=felt,
             grounds=grounds,
         )  # fmt: skip
 
@@ -373,31 +339,6 @@ class Controller:
         lam = {name: value for name, value in memory.lam.items() if name != change.lost}
         self._memory = memory._replace(lam=lam, why=why)
         return self._safe_hold(q, v, Status.STOPPED, why)
-
-    def _read(self, state: State, memory: Memory, measured: Any, targets: Any) -> list[str]:
-        """Wrenches and targets of this tick; what is refused is said, and the old value kept."""
-        refused: list[str] = []
-        loops = memory.loops
-        for what, given in (("measured", measured), ("targets", targets)):
-            if given is not None and not isinstance(given, Mapping):
-                refused.append(f"{what}: expected a mapping by name, got {type(given).__name__}")
-        for name, wrench in measured.items() if isinstance(measured, Mapping) else ():
-            frame = self._feeling.get(name)
-            if frame is None:
-                known = did_you_mean(name, self._feeling)  # tasks that feel a wrench themselves among them
-                refused.append(f"measured: no contact named {name!r}{known}")
-                continue
-            F, fault = _at(wrench, state, frame)
-            if fault:
-                refused.append(f"measured.{name}: expected a finite Wrench, got {fault}; the last one stands")
-                F = loops[name].filtered if name in loops else memory.felt.get(name, NEW).F
-            if F is not None:
-                state.measured[name] = F
-        state.targets = memory.targets  # type: ignore[assignment]
-        if targets and isinstance(targets, Mapping):
-            state.targets = dict(memory.targets)
-            refused += self._retarget(state, targets)
-        return refused
 
     def _feel(self, state: State, phase: Phase, memory: Memory, tau: Array) -> dict[str, Felt]:
         """The pushes of this tick, by task."""
@@ -410,27 +351,11 @@ class Controller:
         carry_felt(state, phase, felt)
         return felt
 
-    def _retarget(self, state: State, targets: Mapping[str, float]) -> list[str]:
-        known = [f"{name}.{axis}" for name, contact in self._contacts.items() for axis in contact.axes]
-        refused = []
-        for name, value in targets.items():
-            if name not in known:
-                contact = self._contacts.get(str(name).split(".")[0])
-                hint = did_you_mean(str(name), known)
-                if contact is not None:
-                    hint = f": that component lies outside the column space of A'; it holds {', '.join(contact.axes)}"
-                refused.append(f"targets.{name}: no such target{hint}")
-            elif not isinstance(value, (int, float)) or not math.isfinite(value):
-                refused.append(f"targets.{name}: expected a finite number, got {value!r}; the old target is kept")
-            else:
-                state.targets[name] = float(value)
-        return refused
-
     def _accept(
         self, program: Program, state: State, solution: Solution, tau_last: Array, memory: Memory, t: float,
         refused: list[str], missed: int, dropped: tuple[str, ...],
     ) -> Output:  # fmt: skip
-        workspace, force, yielded = program.last, program.force, program.yielded
+        workspace, force = program.last, program.force
         slices = workspace.variables.slices
         tau = np.empty(tau_last.size)  # in its bounds: the certificate's tolerance must not reach the motors
         torque(workspace.coefficients("torque"), solution.x, state.bias[self.robot.base :], *program.window, tau)
@@ -446,27 +371,9 @@ class Controller:
         if dropped:  # they are told of as before, but carry nothing
             active = (*(f"{name}.dropped" for name in dropped), *active)
             hold(state, self._programs[memory.phase].phase)
-        status, reason, good = Status.OK, "", memory.good + 1
-        if active or refused or yielded:
-            status = Status.LIMITED
-            told = []
-            if dropped:
-                told = [f"{' and '.join(dropped)} dropped: not to be held within the torque limits"]
-            if yielded:
-                gave = program.gave_way(solution.x)
-                why = f"{gave} yield: nothing satisfies them within the torque limits"
-                told.append(why if gave else "nothing yields, but the first answer was refused")
-            reason = "; ".join([*refused, *told] or ["at the limit: " + ", ".join(active)])
-        if missed >= MISSED_DEGRADED:
-            good = 0
-        if good < GOOD_TICKS:
-            status = Status.DEGRADED
-            reason = reason or (
-                f"{missed} ticks missed"
-                if missed >= MISSED_DEGRADED
-                else f"recovering: {good} of {GOOD_TICKS} good ticks"
-            )
-        grounds = _found(state, program.phase, memory.grounds, wrenches) if program.phase.standing else _NONE
+        good = 0 if missed >= MISSED_DEGRADED else memory.good + 1
+        status, reason = _rated(program, solution, active, dropped, refused, missed, good)
+        grounds = floors(state, program.phase, memory.grounds, wrenches) if program.phase.standing else NOTHING
         by_robot = self.robot.gravity == "robot"
         gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
@@ -480,99 +387,38 @@ class Controller:
     # --- without a certified answer ---
 
     def _hold(self, reason: str, state: State | None = None) -> Output:
-        """The last torque, of which all but the load decays, for a few ticks; then the safe hold. `state`: of this
-        tick, where it is valid."""
-        memory = self._memory
-        if memory is None:  # nothing is known of the robot yet, so nothing is asked of it
-            nothing, still = np.zeros(self.robot.nu), np.zeros(self.robot.nv)
-            return Output(nothing, still, {}, (), Status.DEGRADED, f"not started: {reason}", UNCERTIFIED)
-        q, v = (memory.q, None) if state is None else (state.q, state.v)
-        bad = memory.bad + 1
-        if memory.status in _HELD or bad > HOLD_TICKS:
-            return self._safe_hold(q, v, memory.status if memory.status in _HELD else Status.SAFE_HOLD, reason)
-        load, _, gravity = self._load(q, v)
-        self._memory = memory._replace(status=Status.DEGRADED, bad=bad, good=0)
-        return self._held_output(decayed(memory.tau, load, bad), gravity, q, v, reason)
+        if self._memory is None:
+            return self._holding.unknown(reason)
+        return self._take(self._holding.degraded(self._memory, reason, state))
 
     def _safe_hold(self, q: Array, v: Array | None, status: Status, reason: str = "") -> Output:
-        """g(q) + J' F with the last certified wrenches, plus damping, in limit and rate; `v` None: not known now.
+        return self._take(self._holding.safe(self._remembered, q, v, status, reason))
 
-        A velocity of the past damps nothing: it would push on until the robot runs the other way.
-        """
-        load, inertia, gravity = self._load(q, v)
-        tau = load
-        if status is Status.STOPPED and self.brakes:
-            tau = gravity if self.robot.gravity == "robot" else np.zeros(load.size)
-        elif v is not None:
-            tau = load - HOLD_DAMPING * inertia * v[self.robot.base :]
-        self._memory = self._remembered._replace(status=status, good=0)
-        return self._held_output(tau, gravity, q, v, reason or self._remembered.why or "held until reset")
-
-    def _load(self, q: Array, v: Array | None) -> tuple[Array, Array, Array]:
-        """(nu,) each: the torque that carries the weight and the last certified wrenches at q, the diagonal of M there,
-        and g(q)."""
-        memory, base = self._remembered, self.robot.base
-        program, t = self._programs[memory.phase], 0.0 if memory.t is None else memory.t - memory.start
-        state = self.state = State(self._terms, q, memory.v if v is None else v, t, self.dt)
-        state.starts, state.grounds = program.named(memory.starts), _levels(program.phase, memory.grounds)
-        state.targets = memory.targets  # type: ignore[assignment]
-        state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
-        tau = gravity = state.gravity()
-        try:
-            hold(state, program.phase)
-            if memory.t is None:  # no wrench has been certified yet
-                return program.rest(state), state.M.diagonal()[base:].copy(), gravity[base:].copy()
-            for name, lam in memory.lam.items():
-                if name in state.contacts:
-                    tau = tau + state.contacts[name].push.T @ lam
-        except Exception:  # a contact of one's own that fails where it did not before
-            return memory.tau, state.M.diagonal()[base:].copy(), gravity[base:].copy()
-        return tau[base:], state.M.diagonal()[base:].copy(), gravity[base:].copy()
-
-    def _held_output(self, tau: Array, gravity: Array, q: Array, v: Array | None, reason: str) -> Output:
-        """A torque that no answer stands behind, led into the limits and their rate."""
-        memory = self._remembered
-        limit = self._programs[memory.phase].phase.torque
-        low, high = limit.bounds(memory.tau, self.dt)
-        tau = np.minimum(np.maximum(np.where(np.isfinite(tau), tau, memory.tau), low), high)
-        v = memory.v if v is None else v.copy()
-        self._memory = memory._replace(tau=tau, gravity=gravity, q=q.copy(), v=v)
-        sent = tau - gravity if self.robot.gravity == "robot" else tau.copy()
-        return Output(sent, np.zeros(self.robot.nv), {}, (), memory.status, reason, UNCERTIFIED)
+    def _take(self, held: Answer) -> Output:
+        self._memory, self.state = held.memory, held.state
+        return held.output
 
 
-def _at(wrench: Any, state: State, frame: str) -> tuple[Array | None, str]:
-    """(6,) a measured wrench at a frame, or why it is refused."""
-    if not isinstance(wrench, Wrench):
-        return None, type(wrench).__name__
-    if fault := array_fault("F", wrench.F, 6):
-        return None, f"one whose {fault}"
-    try:
-        F = wrench.at(state, frame)
-    except (WbcError, TypeError) as error:
-        return None, str(error)
-    return (F, "") if math.isfinite(F.dot(F)) else (None, str(F))
-
-
-def _found(
-    state: State, phase: Phase, before: Mapping[str, Ground], asked: Mapping[str, Array]
-) -> Mapping[str, Ground]:
-    """Where the feet of a phase have found the floor, those that measure their force; `asked`: wrenches by contact."""
-    if not state.measured and not before:
-        return before
-    found = {name: ground for name, ground in before.items() if name in phase.contacts}
-    for name in phase.standing:
-        footing = phase.contacts[name].footing
-        if name in state.measured and footing is not None:
-            frame = state.frame(phase.contacts[name].frame)
-            push = footing.push(frame, asked[name]) if name in asked else 0.0
-            found[name] = found.get(name, Ground()).felt(footing, frame, state.measured[name], push)
-    return found
-
-
-def _levels(phase: Phase, grounds: Mapping[str, Ground]) -> dict[Any, float]:
-    """The same by contact, in metres above their planes."""
-    return {phase.contacts[name]: ground.level for name, ground in grounds.items() if name in phase.contacts}
+def _rated(
+    program: Program, solution: Solution, active: Sequence[str], dropped: Sequence[str], refused: list[str],
+    missed: int, good: int,
+) -> tuple[Status, str]:  # fmt: skip
+    """How good a certified tick is, and why it is not OK."""
+    status, reason = Status.OK, ""
+    if active or refused or program.yielded:
+        status, told = Status.LIMITED, list(refused)
+        if dropped:
+            told.append(f"{' and '.join(dropped)} dropped: not to be held within the torque limits")
+        if program.yielded:
+            gave = program.gave_way(solution.x)
+            why = f"{gave} yield: nothing satisfies them within the torque limits"
+            told.append(why if gave else "nothing yields, but the first answer was refused")
+        reason = "; ".join(told or ["at the limit: " + ", ".join(active)])
+    if good < GOOD_TICKS:
+        late = missed >= MISSED_DEGRADED
+        status = Status.DEGRADED
+        reason = reason or (f"{missed} ticks missed" if late else f"recovering: {good} of {GOOD_TICKS} good ticks")
+    return status, reason
 
 
 def _told(phase: Phase, change: Change) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from . import model as models
+from . import convention
 from .qp import Array
 from .robot import Robot
 
@@ -47,7 +47,7 @@ class Coordinates:
 
 def to_mujoco(model: mujoco.MjModel, q: Array) -> Array:
     """Pinocchio's q as MuJoCo's qpos: quaternions wxyz."""
-    return models.to_mujoco(model, q, np.zeros(model.nv))[0]
+    return convention.to_mujoco(model, q, np.zeros(model.nv))[0]
 
 
 def own_coordinates(robot: Robot) -> tuple[Array, Array]:

@@ -14,24 +14,18 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+from .machine import Finding, loaded
 
 # the least version of what the package needs, as in pyproject.toml
 NEEDED = {
     "numpy": "2.0", "numba": "0.61", "pin": "4.0", "mujoco": "4.0", "proxsuite": "0.7", "qpsolvers": "4.4",
-    "daqp": "0.8", "pydantic": "2.8", "pyyaml": "6.0", "click": "8.1", "rich": "13.7", "matplotlib": "3.8",
+    "daqp": "0.8", "highspy": "1.10", "pydantic": "2.8", "pyyaml": "6.0", "click": "8.1", "rich": "13.7",
+    "matplotlib": "3.8",
 }  # fmt: skip
 DIRECT = ("daqp", "proxqp")  # solvers that the package needs; the others are extras
 AGREES = 1e-6  # how far the answer to the small program may be from the known one
-
-
-class Finding(NamedTuple):
-    """One thing looked at: `status` is "ok", "note" or "problem"; `do` is empty where all is well."""
-
-    name: str
-    status: str
-    found: str
-    do: str = ""
 
 
 def examine(seconds: float = 1.0, rendering: bool = True) -> dict[str, Any]:
@@ -151,15 +145,6 @@ def _entry(module: Path) -> str:
     """The entry of PYTHONPATH that a module was found through, or nothing."""
     entries = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
     return next((entry for entry in entries if module.is_relative_to(Path(entry).resolve())), "")
-
-
-def loaded(name: str, told: Path = Path("/proc/self/maps")) -> list[str]:
-    """Files of the shared libraries of that name that are in this process; nothing where the system does not tell."""
-    try:
-        maps = told.read_text()
-    except OSError:
-        return []
-    return list(dict.fromkeys(re.findall(rf"(/\S*/{re.escape(name)}[^/\s]*\.so\S*)$", maps, re.MULTILINE)))
 
 
 def _solvers() -> Iterator[Finding]:

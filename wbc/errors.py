@@ -90,6 +90,15 @@ class SimulationError(WbcError):
         super().__init__(message)
 
 
+class InvariantError(WbcError):
+    """A tick that violates what must always hold: which invariant, at which tick, how, and what repeats it."""
+
+    def __init__(self, invariant: str, tick: int, told: str, repeat: str = "") -> None:
+        self.invariant, self.tick, self.told, self.repeat = invariant, tick, told, repeat
+        tail = f"; repeat: {repeat}" if repeat else ""
+        super().__init__(f"{invariant}: {told}, at tick {tick}{tail}")
+
+
 class LogError(WbcError):
     """A log that cannot be read, or a tick that it does not have; `file` says which log, `message` what."""
 

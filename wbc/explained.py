@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .explain import Explanation
+    from .explanation import Explanation
     from .hardness import Culprit
 
 FEW = 1e-9  # residuals and torques below are rounding
@@ -19,7 +19,10 @@ def tell(told: Explanation, console: Any) -> None:
         _conflict(told, console)
     if told.split is not None:
         _torque(told, console)
+    if told.regulariser is not None:
         _tasks(told, console)
+    elif told.split is not None:
+        console.print("No answer stands behind this torque: it carries the load, and what moves is damped or let go.")
 
 
 def _conflict(told: Explanation, console: Any) -> None:

@@ -143,4 +143,36 @@ class Unreliable:
         if fault := now.get("solver.x"):
             x = x.copy()
             x[self._rng.integers(x.size)] += fault.value
+        if fault := now.get("solver.leans"):
+            x, z = leaning(problem, x, z, fault.value, self._rng)
+        if "solver.nan" in now:
+            x = x.copy()
+            x[self._rng.integers(x.size)] = math.nan
+        if "solver.shape" in now:
+            x = x[:-1]
         return x, -z if "solver.signs" in now else z
+
+
+def leaning(problem: Problem, x: Array, z: Array, force: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A lie that only the gap gives away: (x, z) with a multiplier of that size on a limit that does not bind.
+
+    All other conditions still hold: H dx + E' dz + c force = 0 and E dx = 0, with E the equalities and what binds.
+    """
+    n, first = x.size, x.size + problem.n_eq
+    rows = np.concatenate((np.eye(n), problem.C))
+    inner = np.ones(z.size, bool)
+    inner[n:first] = False
+    room = np.minimum(rows @ x - problem.lo, problem.hi - rows @ x)
+    loose = np.flatnonzero(inner & (np.abs(z) < 1e-9) & np.isfinite(room) & (room > 1e-3))
+    if not loose.size:
+        return x, z
+    i = int(loose[rng.integers(loose.size)])
+    push = force if np.isfinite(problem.hi[i]) else -force
+    bound = np.flatnonzero(~inner | (np.abs(z) >= 1e-9))
+    E = rows[bound]
+    kkt = np.block([[problem.H, E.T], [E, np.zeros((bound.size, bound.size))]])
+    answer = np.linalg.lstsq(kkt, np.concatenate((-push * rows[i], np.zeros(bound.size))), rcond=None)[0]
+    z = z.copy()
+    z[bound] += answer[n:]
+    z[i] = push
+    return x + answer[:n], z

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,8 +16,6 @@ LIFTED = 5e-4  # [m] above its plane from which a foot carries nothing
 RATE, MOST = 20.0, 20.0  # [1/s], [m/s^2, rad/s^2] of the way down
 SLOWEST, FASTEST, SLOWING = 0.05, 0.3, 5.0  # [m/s], [m/s], [1/s] speed of the way down, by the height left
 FLATTEN = 5.0  # [1/s] with which a sole turns flat
-TOUCHED, COUNTED = 2.0, 5.0  # [N] with so much a foot stands; with more it is counted on
-MISSING = 5  # ticks in a row in which what is counted on does not come, until it is in the air
 
 
 class Footing:
@@ -62,26 +60,3 @@ class Footing:
     def asked(self, A: Array, frame: Frame, level: float = 0.0) -> Array:
         """(k,) c of A Vdot + Adot V = -c, with which a lifted foot comes down."""
         return np.clip(RATE * A.dot(frame.V - self.down(frame, level)), -MOST, MOST)
-
-
-class Ground(NamedTuple):
-    """Where a foot that measures its force has found the floor: `level` [m] above its plane, wherever that is believed
-    to be; `missing`: ticks in a row without the force that was counted on."""
-
-    level: float = 0.0
-    missing: int = 0
-
-    def felt(self, footing: Footing, frame: Frame, F: Array, asked: float) -> Ground:
-        """After a tick in which F (6,) was measured and a push of `asked` [N] was counted on.
-
-        What presses stands, also on a plate or in a hole; what is counted on and does not press is in the air, and has
-        to look for the floor further down.
-        """
-        height = footing.height(frame)
-        if footing.push(frame, F) >= TOUCHED:
-            return Ground(height if abs(height - self.level) > 0.5 * LIFTED else self.level)
-        if asked < COUNTED:
-            return self._replace(missing=0)
-        if self.missing + 1 < MISSING:
-            return self._replace(missing=self.missing + 1)
-        return Ground(min(self.level, height - 2.0 * LIFTED))

@@ -64,16 +64,11 @@ class Hard:
 
     def conflict(self) -> tuple[tuple[Culprit, ...], tuple[tuple[str, ...], ...]]:
         """A conflict, and the names of others; first of what never yields, for there is no answer then."""
-        system = self.system
-        yielding = self.yielding
+        system, yielding, others = self.system, self.yielding, list[tuple[str, ...]]()
         among = [name for name in system.names if name not in yielding]
-        names = system.conflict(among)
-        if not names:
-            among = list(system.names)
-            names = system.conflict(among)
-        members, others = system.members(names, among), list[tuple[str, ...]]()
+        members = system.members(among) or system.members()
         if members and not any(each.frees for each in members):
-            left = [name for name in system.names if name != names[0]]
+            left = [name for name in system.names if name != members[0].name]
             while len(others) < MORE and (more := system.conflict(left)):
                 others.append(more)
                 left.remove(more[0])

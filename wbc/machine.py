@@ -5,13 +5,13 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-
-from .doctor import Finding, loaded
+from typing import NamedTuple
 
 PERIOD = 1e-3  # [s]
 RENDERERS = ("egl", "osmesa", "glfw")
@@ -25,6 +25,24 @@ renderer = mujoco.Renderer(model, 48, 64)
 renderer.update_scene(data)
 assert renderer.render().max() > 0, "the frame is black"
 """
+
+
+class Finding(NamedTuple):
+    """One thing looked at: `status` is "ok", "note" or "problem"; `do` is empty where all is well."""
+
+    name: str
+    status: str
+    found: str
+    do: str = ""
+
+
+def loaded(name: str, told: Path = Path("/proc/self/maps")) -> list[str]:
+    """Files of the shared libraries of that name that are in this process; nothing where the system does not tell."""
+    try:
+        maps = told.read_text()
+    except OSError:
+        return []
+    return list(dict.fromkeys(re.findall(rf"(/\S*/{re.escape(name)}[^/\s]*\.so\S*)$", maps, re.MULTILINE)))
 
 
 def lateness(seconds: float, period: float = PERIOD) -> list[float]:

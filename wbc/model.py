@@ -1,6 +1,6 @@
 """Robot, tool and scene become one compiled `MjModel`, and the Pinocchio model is built from it.
 
-The compiled model is the single source: MuJoCo simulates it, Pinocchio computes with it, and `disagreement` measures
+The compiled model is the single source: MuJoCo simulates it, Pinocchio computes with it, and `crosscheck` measures
 at load that both mean the same robot. Pinocchio's own MJCF reader is never used: it drops fixed bodies, sites and
 limits without a word.
 """
@@ -18,7 +18,8 @@ import numpy as np
 import pinocchio as pin
 
 from . import files, material, urdf
-from .errors import ModelError, ModelMismatch, did_you_mean
+from .convention import rotation
+from .errors import ModelError, did_you_mean
 from .qp import Array
 from .resources import shipped, shipped_names
 
@@ -28,7 +29,6 @@ _FINITE = (
     "actuator_forcerange", "actuator_gainprm", "jnt_actfrcrange", "jnt_stiffness", "jnt_user", "qpos0", "qpos_spring",
     "site_pos", "site_quat", "geom_pos", "geom_quat", "geom_size", "geom_friction", "eq_data", "key_qpos",
 )  # fmt: skip
-AGREEMENT = 1e-8  # worst relative error of M, h, g, J, drift and pose at random states
 
 
 def find(kind: str, name: str) -> Path:
@@ -190,18 +190,17 @@ def _torque_motors(spec: mujoco.MjSpec) -> None:
 
 
 def _pose(position: Array, quaternion: Array) -> pin.SE3:
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, np.asarray(quaternion, float))
-    return pin.SE3(rotation.reshape(3, 3), np.array(position, float))
+    return pin.SE3(rotation(quaternion), np.array(position, float))
 
 
-def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
+def object_name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
+    """The name of an object of the model, also of one without."""
     return mujoco.mj_id2name(model, kind, index) or f"{kind.name.removeprefix('mjOBJ_').lower()}{index}"
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
     """The name of a body's frame, also of a body without one."""
-    return _name(model, mujoco.mjtObj.mjOBJ_BODY, body)
+    return object_name(model, mujoco.mjtObj.mjOBJ_BODY, body)
 
 
 def pinocchio_model(model: mujoco.MjModel) -> pin.Model:
@@ -229,7 +228,7 @@ def pinocchio_model(model: mujoco.MjModel) -> pin.Model:
         frame_of[body] = int(out.addBodyFrame(body_name(model, body), parent, X, -1))
     for site in range(model.nsite):
         body = model.site_bodyid[site]
-        name = _name(model, mujoco.mjtObj.mjOBJ_SITE, site)
+        name = object_name(model, mujoco.mjtObj.mjOBJ_SITE, site)
         name = f"site:{name}" if out.existFrame(name) else name
         X = place_of[body] * _pose(model.site_pos[site], model.site_quat[site])
         out.addFrame(pin.Frame(name, joint_of[body], frame_of[body], X, pin.FrameType.OP_FRAME), False)
@@ -241,7 +240,7 @@ def _add_joint(out: pin.Model, model: mujoco.MjModel, joint: int, parent: int, X
     kind, axis = model.jnt_type[joint], model.jnt_axis[joint].copy()
     anchor = pin.SE3(np.eye(3), model.jnt_pos[joint].copy())
     reference = model.qpos0[model.jnt_qposadr[joint]]
-    name = _name(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+    name = object_name(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
     free, ball, slide = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_SLIDE
     if kind == free:
         index, X = out.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name), pin.SE3.Identity()
@@ -283,43 +282,6 @@ def torque_limits(model: mujoco.MjModel) -> tuple[Array, Array]:
     return low, high
 
 
-def to_pinocchio(model: mujoco.MjModel, qpos: Array, qvel: Array) -> tuple[Array, Array]:
-    """MuJoCo's (qpos, qvel) as Pinocchio's (q, v): quaternions xyzw, linear base velocity in the body's axes."""
-    q, v = qpos.copy(), qvel.copy()
-    for joint in np.flatnonzero(model.jnt_type < 2):
-        at, dof = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
-        at += 3 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE else 0
-        q[at : at + 4] = np.roll(qpos[at : at + 4], -1)
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
-            v[dof : dof + 3] = _pose(np.zeros(3), qpos[at : at + 4]).rotation.T @ qvel[dof : dof + 3]
-    return q, v
-
-
-def to_mujoco(model: mujoco.MjModel, q: Array, v: Array) -> tuple[Array, Array]:
-    """Pinocchio's (q, v) as MuJoCo's (qpos, qvel): quaternions wxyz, linear base velocity in the world's axes."""
-    qpos, qvel = np.array(q, float), np.array(v, float)
-    for joint in np.flatnonzero(model.jnt_type < 2):
-        at, dof = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
-        free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-        at += 3 if free else 0
-        qpos[at : at + 4] = np.roll(qpos[at : at + 4], 1)
-        if free:
-            qvel[dof : dof + 3] = _pose(np.zeros(3), qpos[at : at + 4]).rotation @ qvel[dof : dof + 3]
-    return qpos, qvel
-
-
-def acceleration_to_pinocchio(model: mujoco.MjModel, qpos: Array, qvel: Array, qacc: Array) -> Array:
-    """MuJoCo's qacc as Pinocchio's vdot: of a free base T qacc - w x v, its linear velocity seen from turning axes."""
-    q, v = to_pinocchio(model, qpos, qvel)
-    return np.asarray(_velocity_map(model, qpos) @ qacc + _acceleration_offset(model, q, v))
-
-
-def acceleration_to_mujoco(model: mujoco.MjModel, q: Array, v: Array, vdot: Array) -> Array:
-    """Pinocchio's vdot as MuJoCo's qacc."""
-    qpos, _ = to_mujoco(model, q, v)
-    return np.asarray(_velocity_map(model, qpos).T @ (vdot - _acceleration_offset(model, q, v)))
-
-
 def open_welds(model: mujoco.MjModel, qpos: Array) -> list[tuple[str, str, float]]:
     """Of every weld or connection of two sites, their names and how far they are apart at `qpos` [m, rad]."""
     data = mujoco.MjData(model)
@@ -332,99 +294,6 @@ def open_welds(model: mujoco.MjModel, qpos: Array) -> list[tuple[str, str, float
         apart = first.actInv(second)
         turn = 0.0 if model.eq_type[i] == mujoco.mjtEq.mjEQ_CONNECT else np.linalg.norm(pin.log3(apart.rotation))
         gap = float(max(np.linalg.norm(apart.translation), turn))
-        one, other = (_name(model, mujoco.mjtObj.mjOBJ_SITE, site) for site in sites)
+        one, other = (object_name(model, mujoco.mjtObj.mjOBJ_SITE, site) for site in sites)
         found.append((one, other, gap))
     return found
-
-
-def disagreement(model: mujoco.MjModel, other: pin.Model, states: int = 4, seed: int = 0) -> dict[str, float]:
-    """Worst relative difference between MuJoCo and Pinocchio over random states, per quantity.
-
-    M, h (Coriolis and gravity), g, and for the last sites of the model the body Jacobian, its drift and the pose.
-    """
-    rng = np.random.default_rng(seed)
-    data, odata = mujoco.MjData(model), other.createData()
-    worst = dict.fromkeys(("M", "h", "g", "J", "drift", "pose"), 0.0)
-    n = model.nv
-    for _ in range(states):
-        qpos = model.qpos0.copy()
-        mujoco.mj_integratePos(model, qpos, rng.uniform(-1.5, 1.5, n), 1.0)
-        qvel = rng.uniform(-1.0, 1.0, n)
-        q, v = to_pinocchio(model, qpos, qvel)
-        map_v = _velocity_map(model, qpos)
-        data.qpos[:], data.qvel[:] = qpos, qvel
-        mujoco.mj_forward(model, data)
-        M = np.zeros((n, n))
-        mujoco.mj_fullM(model, data, M)
-        pin.computeAllTerms(other, odata, q, v)
-        drift = odata.M @ _acceleration_offset(model, q, v)
-        _note(worst, "M", map_v.T @ odata.M @ map_v, M)
-        _note(worst, "h", map_v.T @ (odata.nle + drift), data.qfrc_bias)
-        data.qvel[:] = 0
-        mujoco.mj_forward(model, data)
-        _note(worst, "g", map_v.T @ pin.computeGeneralizedGravity(other, odata, q), data.qfrc_bias)
-        data.qvel[:] = qvel
-        mujoco.mj_forward(model, data)
-        pin.computeAllTerms(other, odata, q, v)
-        for site in range(max(0, model.nsite - 3), model.nsite):
-            name = _name(model, mujoco.mjtObj.mjOBJ_SITE, site)
-            frame = other.getFrameId(f"site:{name}" if other.existFrame(f"site:{name}") else name)
-            pose = pin.updateFramePlacement(other, odata, frame)
-            J = pin.getFrameJacobian(other, odata, frame, pin.LOCAL).reshape(6, n)  # one column comes as a vector
-            a = pin.getFrameAcceleration(other, odata, frame, pin.LOCAL).vector
-            J_mj, drift_mj = site_jacobian(model, data, site)
-            a_free = J @ _acceleration_offset(model, q, v)
-            _note(worst, "J", np.r_[J[3:], J[:3]] @ map_v, J_mj)
-            _note(worst, "drift", np.r_[(a + a_free)[3:], (a + a_free)[:3]], drift_mj)
-            here = np.c_[data.site_xmat[site].reshape(3, 3), data.site_xpos[site]]
-            _note(worst, "pose", np.c_[pose.rotation, pose.translation], here)
-    return worst
-
-
-def require_agreement(model: mujoco.MjModel, other: pin.Model) -> float:
-    """The worst of `disagreement`; raises ModelMismatch beyond `AGREEMENT`."""
-    worst = disagreement(model, other)
-    wrong = {name: error for name, error in worst.items() if not error <= AGREEMENT}
-    if wrong:
-        raise ModelMismatch(wrong, AGREEMENT)
-    return max(worst.values())
-
-
-def _note(worst: dict[str, float], name: str, ours: Array, theirs: Array) -> None:
-    error = float(np.abs(ours - theirs).max(initial=0.0) / (1.0 + np.abs(theirs).max(initial=0.0)))
-    worst[name] = max(worst[name], error) if error == error else np.inf
-
-
-def site_jacobian(model: mujoco.MjModel, data: mujoco.MjData, site: int) -> tuple[Array, Array]:
-    """Body Jacobian (6, nv) of a site and its drift Jdot v (6,), angular first, from MuJoCo alone."""
-    R, p = data.site_xmat[site].reshape(3, 3), data.site_xpos[site].copy()
-    return point_jacobian(model, data, model.site_bodyid[site], R, p)
-
-
-def point_jacobian(model: mujoco.MjModel, data: mujoco.MjData, body: int, R: Array, p: Array) -> tuple[Array, Array]:
-    """The same of a frame at (R, p) in the world that is fixed to a body."""
-    Jp, Jr, dJp, dJr = (np.zeros((3, model.nv)) for _ in range(4))
-    mujoco.mj_jac(model, data, Jp, Jr, p, body)
-    mujoco.mj_jacDot(model, data, dJp, dJr, p, body)
-    w, v = R.T @ Jr @ data.qvel, R.T @ Jp @ data.qvel
-    # body axes turn with the body: d/dt(R' x) = R' xdot - w x (R' x)
-    drift = np.r_[R.T @ dJr @ data.qvel, R.T @ dJp @ data.qvel - np.cross(w, v)]
-    return np.r_[R.T @ Jr, R.T @ Jp], drift
-
-
-def _velocity_map(model: mujoco.MjModel, qpos: Array) -> Array:
-    """T with v_pinocchio = T v_mujoco."""
-    T = np.eye(model.nv)
-    for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
-        dof, at = model.jnt_dofadr[joint], model.jnt_qposadr[joint] + 3
-        T[dof : dof + 3, dof : dof + 3] = _pose(np.zeros(3), qpos[at : at + 4]).rotation.T
-    return T
-
-
-def _acceleration_offset(model: mujoco.MjModel, q: Array, v: Array) -> Array:
-    """b with a_pinocchio = T a_mujoco + b: the linear base velocity is seen from turning axes."""
-    b = np.zeros(model.nv)
-    for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
-        dof = model.jnt_dofadr[joint]
-        b[dof : dof + 3] = -np.cross(v[dof + 3 : dof + 6], v[dof : dof + 3])
-    return b

@@ -15,9 +15,10 @@ import pinocchio as pin
 
 from . import analytic
 from .contact import Contact
-from .controller import Memory, Phase
 from .impedance import NEW, AdmittanceTask, Compliance, Felt
+from .memory import Memory
 from .pair import movable
+from .phase import Phase
 from .qp import Array
 from .reference import Sample
 from .robot import Robot, State

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from .axes import WRENCH_AXES
-from .controller import Memory
+from .memory import Memory
 from .replay import Replay
 from .wrench import Wrench
 

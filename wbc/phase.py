@@ -23,6 +23,7 @@ from .friction import Cone
 from .hierarchy import level
 from .hierarchy import solve as descend
 from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
+from .ladder import fewest
 from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .relative import GazeTask
@@ -290,7 +291,6 @@ class Program:
         if viable:
             slack = {f"{rows.name} yield": rows.lo.size for rows in viable}
             self.yielding = Workspace(Variables(sizes | slack), [*hard, *map(_softened, viable)])
-        self._without: dict[tuple[str, ...], Program] = {}
         self._rescue = ProxQP()  # of levels that the solver refuses
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[Cost] = []
@@ -325,13 +325,14 @@ class Program:
         self.last = self.strict
         return _fill(self.strict, self._summed)
 
-    def without(self, dropped: tuple[str, ...], state: State) -> Program:
-        """The program of the same phase without some contacts, and without what is asked of them."""
-        if dropped not in self._without:
-            start = State(Terms(state.robot), state.q.copy(), state.v.copy())
-            phase = settle_posture(self.phase.without(dropped), start, [])
-            self._without[dropped] = type(self)(phase, start)
-        return self._without[dropped]
+    def spare(self, start: State) -> dict[tuple[str, ...], Program]:
+        """Programs of the same phase without some contacts, and without what is asked of them: in the order in which
+        they are to be tried, built at a state before any tick needs one."""
+        start, spare = State(Terms(start.robot), start.q.copy(), start.v.copy()), {}
+        for dropped in fewest(list(self.phase.contacts)):
+            start.contacts = {}
+            spare[dropped] = type(self)(settle_posture(self.phase.without(dropped), start, []), start)
+        return spare
 
     def _contact_rows(self, state: State) -> list[Rows]:
         """The constraints of the contacts, with the names of their rows."""

@@ -15,23 +15,33 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec, SubplotSpec
-from numpy.typing import NDArray
 
+from .chart import (
+    BAD,
+    COLOURS,
+    DPI,
+    GOOD,
+    INK,
+    JOINTS,
+    MUTED,
+    PALE,
+    SHADE,
+    after_settling,
+    legend,
+    lines,
+    panel,
+    runs,
+    short,
+    window,
+)
 from .log import Log
 from .qp import Array
 
-SIZE, DPI = (16.0, 12.0), 100  # [in], [1/in]
-INK, MUTED, GRID, SHADE, PALE, GOOD, BAD = "#1f2933", "#7b8794", "#e4e7eb", "#eef0f3", "#cbd2d9", "#2f855a", "#c53030"
-COLOURS = ("#2b6cb0", "#dd6b20", "#2c9c8f", "#805ad5", "#d53f8c", "#b7950b", "#4a5568", "#7c4a1e")
+SIZE = (16.0, 12.0)  # [in]
 STATUS = {"OK": "#68b587", "LIMITED": "#f0b429", "DEGRADED": "#e8710a", "SAFE_HOLD": "#c53030", "STOPPED": "#4a1d1d"}
 TEXT: dict[str, Any] = {"va": "center", "parse_math": False}
-LEGEND: dict[str, Any] = {
-    "fontsize": 8, "title_fontsize": 8, "labelcolor": INK, "edgecolor": "none", "framealpha": 0.85,
-    "handlelength": 1.2, "columnspacing": 1.0, "handletextpad": 0.4,
-}  # fmt: skip
-BLOCKS, JOINTS, LIMITS, CHECKS = 8, len(COLOURS), 8, 12  # the most of each that one picture shows
+BLOCKS, LIMITS, CHECKS = 8, 8, 12  # the most of each that one picture shows
 ROUNDING = 1e-6  # of a target: errors below it are not blown up
-POINTS = 4000  # of one line; a longer one keeps the extremes of its stretches
 
 
 def report(log: Log, summary: dict[str, Any], path: Path) -> None:
@@ -39,30 +49,6 @@ def report(log: Log, summary: dict[str, Any], path: Path) -> None:
     with np.errstate(all="ignore"):  # a run that broke may hold any number
         picture = figure(log, summary)
         FigureCanvasAgg(picture).print_figure(path, dpi=DPI, format="png", bbox_inches=picture.bbox_inches)
-
-
-def bode_plot(responses: Mapping[str, Any], title: str, path: Path) -> None:
-    """Write the admittances Y(jw) = X/F of tasks, and their impedances Z = 1/Y, over the theory, to a PNG."""
-    fig = Figure(figsize=(12.0, 8.0), dpi=DPI, facecolor="white")
-    fig.suptitle(_short(title, 98), x=0.07, ha="left", size=16, weight="bold", color=INK, parse_math=False)
-    axes = fig.subplots(2, 2, sharex=True)
-    fig.subplots_adjust(left=0.07, right=0.98, top=0.89, bottom=0.08, wspace=0.16, hspace=0.16)
-    for column, (name, sign, unit) in enumerate((("Y = X/F", 1, "m/N"), ("Z = F/X", -1, "N/m"))):
-        size, angle = axes[0, column], axes[1, column]
-        _axes(size, f"|{name}| [dB of {unit}]")
-        _axes(angle, f"phase of {name} [deg]")
-        for i, (task, found) in enumerate(responses.items()):
-            f, colour = found.w / (2 * np.pi), COLOURS[i % JOINTS]
-            for Y, style in ((found.theory, {"linestyle": "-"}), (found.Y, {"linestyle": "", "marker": "o"})):
-                label = task if "marker" in style else f"{task}, theory with its delay"
-                size.plot(f, sign * 20 * np.log10(np.abs(Y)), color=colour, label=label, **style)
-                angle.plot(f, sign * np.degrees(np.unwrap(np.angle(Y))), color=colour, **style)
-        _legend(size, loc="lower left" if sign > 0 else "upper left")
-        angle.set_xscale("log")
-        angle.set_xlabel("frequency [Hz]", size=9, color=INK)
-        angle.xaxis.set_major_formatter("{x:g}")
-        angle.xaxis.set_minor_formatter("{x:g}")
-    FigureCanvasAgg(fig).print_figure(path, dpi=DPI, format="png")
 
 
 def figure(log: Log, summary: dict[str, Any]) -> Figure:
@@ -91,9 +77,9 @@ def figure(log: Log, summary: dict[str, Any]) -> Figure:
 
 def _header(fig: Figure, log: Log, summary: dict[str, Any]) -> None:
     """Verdict and title; a line on the run; what went wrong."""
-    ok, title = bool(summary.get("ok")), _short(str(log.meta.get("title") or summary.get("spec", "")), 98)
+    ok, title = bool(summary.get("ok")), short(str(log.meta.get("title") or summary.get("spec", "")), 98)
     badge = {"boxstyle": "round,pad=0.35", "facecolor": GOOD if ok else BAD, "edgecolor": "none"}
-    facts, faults = "   ·   ".join(_facts(log, summary)), _short("   ·   ".join(_faults(log, summary)), 150)
+    facts, faults = "   ·   ".join(_facts(log, summary)), short("   ·   ".join(_faults(log, summary)), 150)
     fig.text(0.056, 0.955, "PASS" if ok else "FAIL", size=20, weight="bold", color="white", bbox=badge, **TEXT)
     fig.text(0.124, 0.957, title, size=22 if len(title) < 65 else 16, weight="bold", color=INK, **TEXT)
     fig.text(0.124, 0.926, facts, size=11, color=MUTED, **TEXT)
@@ -145,16 +131,16 @@ def _wrenches(fig: Figure, place: SubplotSpec, log: Log, blocks: list[Block]) ->
         told = f"{contact}.target" in log
         cell = GridSpecFromSubplotSpec(2 if told else 1, 1, grid[i // columns, i % columns], hspace=0.08)
         told_of = f"{contact}.target" if told else None
-        ax = _axes(fig.add_subplot(cell[0], label=f"{contact} [{unit}]"), f"{contact} holds [{unit}]", log, told_of)
-        _lines(ax, log, true, names, linewidth=1.8)
+        ax = panel(fig.add_subplot(cell[0], label=f"{contact} [{unit}]"), f"{contact} holds [{unit}]", log, told_of)
+        lines(ax, log, true, names, linewidth=1.8)
         if told:
             target = log[f"{contact}.target"][:, index]
-            _lines(ax, log, target, "target", INK, linewidth=1.0, linestyle=(0, (4, 3)))
+            lines(ax, log, target, "target", INK, linewidth=1.0, linestyle=(0, (4, 3)))
             ax.tick_params(labelbottom=False)
             _error(fig.add_subplot(cell[1], label=f"{contact} error [{unit}]"), log, contact, index, unit)
-        settled, whole = _known(true[_settled(log, told_of)]), np.percentile(_known(true), [1, 99], axis=0)
-        _window(ax, np.array([-0.05, 0.05]), settled, whole)
-        _legend(ax, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=7)
+        settled, whole = _known(true[after_settling(log, told_of)]), np.percentile(_known(true), [1, 99], axis=0)
+        window(ax, np.array([-0.05, 0.05]), settled, whole)
+        legend(ax, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=7)
     hidden = ", ".join(dict.fromkeys(contact for contact, _, _ in blocks[BLOCKS:]))
     fig.axes[-1].set_xlabel(f"not drawn: {hidden}" if hidden else "", size=8, color=MUTED)
 
@@ -162,15 +148,15 @@ def _wrenches(fig: Figure, place: SubplotSpec, log: Log, blocks: list[Block]) ->
 def _error(ax: Axes, log: Log, contact: str, index: list[int], unit: str) -> None:
     """Error of the held wrench, in a unit and a window that suit what is settled."""
     names, told_of = [log.meta["contacts"][contact][j] for j in index], f"{contact}.target"
-    error, settled = (log[f"{contact}.lam"] - log[told_of])[:, index], _settled(log, told_of)
+    error, settled = (log[f"{contact}.lam"] - log[told_of])[:, index], after_settling(log, told_of)
     peak = np.abs(_known(error[settled])).max()
     factor, prefix = (1.0, "") if peak >= 0.1 or peak == 0.0 else (1e3, "m") if peak >= 1e-4 else (1e6, "µ")
     rms = [_rms(column) for column in factor * error[settled].T]
-    _axes(ax, "", log, told_of).set_ylabel(f"error\n[{prefix}{unit}]", size=8, color=INK)
-    _lines(ax, log, factor * error, [f"{name} rms {value:.2g}" for name, value in zip(names, rms, strict=True)])
+    panel(ax, "", log, told_of).set_ylabel(f"error\n[{prefix}{unit}]", size=8, color=INK)
+    lines(ax, log, factor * error, [f"{name} rms {value:.2g}" for name, value in zip(names, rms, strict=True)])
     least = factor * ROUNDING * np.abs(_known(log[told_of])).max()  # less than this is the simulator's own
-    _window(ax, np.array([-least, least]), _known(factor * error[settled]), head=3.0)
-    _legend(ax, loc="upper right", ncols=3, borderaxespad=0.1)
+    window(ax, np.array([-least, least]), _known(factor * error[settled]), head=3.0)
+    legend(ax, loc="upper right", ncols=3, borderaxespad=0.1)
 
 
 def _pushes(fig: Figure, place: SubplotSpec, log: Log, tasks: Mapping[str, Sequence[str]]) -> None:
@@ -188,18 +174,18 @@ def _pushes(fig: Figure, place: SubplotSpec, log: Log, tasks: Mapping[str, Seque
             zip(rows, units, ("pushed by", "gives way"), strict=True)
         ):
             ax = fig.add_subplot(cell[row], label=f"{name} {said} [{unit}]")
-            _axes(ax, "" if row else f"{name}: {said} [{unit}]", log, f"{name}.{quantity}")
-            _lines(ax, log, factor * log[f"{name}.{quantity}"][:, index], names)
+            panel(ax, "" if row else f"{name}: {said} [{unit}]", log, f"{name}.{quantity}")
+            lines(ax, log, factor * log[f"{name}.{quantity}"][:, index], names)
             if row:
                 ax.set_ylabel(f"{said}\n[{unit}]", size=8, color=INK)
             else:
-                _legend(ax, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=7)
+                legend(ax, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=7)
             ax.tick_params(labelbottom=bool(row) and not tank)
         if tank:
-            ax = _axes(fig.add_subplot(cell[2], label=f"{name} tank [J]"), "", log, f"{name}.external")
+            ax = panel(fig.add_subplot(cell[2], label=f"{name} tank [J]"), "", log, f"{name}.external")
             ax.set_ylabel("tank\n[J]", size=8, color=INK)
-            _lines(ax, log, log[f"{name}.tank"][:, None], "energy", linewidth=1.8)
-            _window(ax, np.zeros((1, 1)), _known(log[f"{name}.tank"][:, None]))
+            lines(ax, log, log[f"{name}.tank"][:, None], "energy", linewidth=1.8)
+            window(ax, np.zeros((1, 1)), _known(log[f"{name}.tank"][:, None]))
 
 
 def _of(log: Log, motions: list[str], part: slice) -> list[str]:
@@ -217,7 +203,7 @@ def _path(ax: Axes, log: Log, motions: list[str]) -> None:
         spread = np.sum([_known(log[f"{name}.position"]).var(axis=0) for name in motions], axis=0)
     x, y = np.sort(np.argsort(-spread, kind="stable")[:2])
     alone = len(motions) == 1
-    _axes(ax, f"path along {'xyz'[x]}, {'xyz'[y]}{'' if alone else ', from the start'} [mm]")
+    panel(ax, f"path along {'xyz'[x]}, {'xyz'[y]}{'' if alone else ', from the start'} [mm]")
     for i, name in enumerate(motions):
         origin = np.zeros(3) if alone else known[name][0]
         desired, actual = (1e3 * (log[f"{name}.{which}"] - origin)[:, [x, y]] for which in ("desired", "position"))
@@ -227,31 +213,31 @@ def _path(ax: Axes, log: Log, motions: list[str]) -> None:
         ax.plot(*start, "o", color=INK, markersize=6)
         ax.update_datalim([start - 0.5, start + 0.5])  # a point keeps a frame around it
     ax.set_aspect("equal", adjustable="datalim")
-    _legend(ax, loc="lower right", bbox_to_anchor=(1.01, 0.99), ncols=5)
+    legend(ax, loc="lower right", bbox_to_anchor=(1.01, 0.99), ncols=5)
 
 
 def _tracking(ax: Axes, log: Log, motions: list[str]) -> None:
     """Distance and angle to the reference, logarithmic: start and end may be decades apart."""
     soft = [name for name in motions if f"{name}.displacement" in log]
-    _axes(ax, f"tracking error{', way given' if soft else ''} [mm, mrad]", log)
+    panel(ax, f"tracking error{', way given' if soft else ''} [mm, mrad]", log)
     parts = (("position", "mm", slice(3, 6)), ("rotation", "mrad", slice(0, 3)))
     drawn = [(name, part) for name in motions for part in parts if name in _of(log, motions, part[2])]
     for i, (name, (what, unit, part)) in enumerate(drawn):
         error = 1e3 * np.linalg.norm(log[f"{name}.error"][:, part], axis=1)
-        told = f"rms {_rms(error[_settled(log, f'{name}.error')]):.2g} {unit}"
+        told = f"rms {_rms(error[after_settling(log, f'{name}.error')]):.2g} {unit}"
         text = f"{name} gives way: {told}" if name in soft else f"{name}.{what}: {told}"
-        _lines(ax, log, np.maximum(error, 1e-9)[:, None], [text], COLOURS[i % JOINTS])
+        lines(ax, log, np.maximum(error, 1e-9)[:, None], [text], COLOURS[i % JOINTS])
     ax.set_yscale("log")
     ax.minorticks_off()
     ax.yaxis.set_major_formatter("{x:g}")
     low, high = ax.get_ylim()
     ax.set_ylim(max(low, 1e-6 * high), 10.0 ** (0.3 * len(drawn) + 0.3) * high)
-    _legend(ax, loc="upper right")
+    legend(ax, loc="upper right")
 
 
 def _torques(ax: Axes, log: Log) -> None:
     """Torque over the joint's largest limit; a limit that changes with the phase is drawn as it changes."""
-    _axes(ax, "torque, share of the limit", log)
+    panel(ax, "torque, share of the limit", log)
     if "tau" not in log:
         return
     names = log.meta["joints"]
@@ -261,39 +247,39 @@ def _torques(ax: Axes, log: Log) -> None:
     peak = np.nan_to_num(np.abs(_share(tau, np.abs(low), np.abs(high)))).max(axis=0)
     order = np.argsort(-peak, kind="stable")
     first, rest = np.sort(order[:JOINTS]), order[JOINTS:]
-    told = [f"{_short(names[i].removesuffix('_joint'), 16)}  {min(peak[i], 9.99):.0%}" for i in first]
-    _lines(ax, log, share[:, rest], f"{rest.size} others", PALE, linewidth=0.8)
-    _lines(ax, log, share[:, first], told, linewidth=1.4)
-    _lines(ax, log, np.array(list({edge.tobytes(): edge for edge in edges}.values())).T, "limit", BAD, linewidth=1.2)
+    told = [f"{short(names[i].removesuffix('_joint'), 16)}  {min(peak[i], 9.99):.0%}" for i in first]
+    lines(ax, log, share[:, rest], f"{rest.size} others", PALE, linewidth=0.8)
+    lines(ax, log, share[:, first], told, linewidth=1.4)
+    lines(ax, log, np.array(list({edge.tobytes(): edge for edge in edges}.values())).T, "limit", BAD, linewidth=1.2)
     ax.set_ylim(-1.15, 1.15)
-    _legend(ax, loc="upper left", bbox_to_anchor=(1.0, 1.03), title="joint, peak")
+    legend(ax, loc="upper left", bbox_to_anchor=(1.0, 1.03), title="joint, peak")
 
 
 def _status(fig: Figure, place: SubplotSpec, log: Log) -> None:
     """How good each tick was; below, which limits were active when, the most frequent first."""
     changes = log.meta.get("changes", ())
     grid = GridSpecFromSubplotSpec(3, 1, place, hspace=0.08, height_ratios=[1, 0.8 if len(changes) > 1 else 0.01, 4])
-    strip = _axes(fig.add_subplot(grid[0], label="status"), "status", log)
+    strip = panel(fig.add_subplot(grid[0], label="status"), "status", log)
     if len(changes) > 1 and log.size:
-        _phases(_axes(fig.add_subplot(grid[1], label="phases"), "", log), log, changes)
-    raster = _axes(fig.add_subplot(grid[2], label="active"), "", log)
+        _phases(panel(fig.add_subplot(grid[1], label="phases"), "", log), log, changes)
+    raster = panel(fig.add_subplot(grid[2], label="active"), "", log)
     for i, name in enumerate(log.meta["status_names"] if "status" in log else ()):
         on = np.flatnonzero(log["status"] == i)
-        _runs(strip, log, on, 0.0, 1.0, STATUS.get(name, MUTED), f"{name} {on.size}")
+        runs(strip, log, on, 0.0, 1.0, STATUS.get(name, MUTED), f"{name} {on.size}")
     ticks: dict[str, list[int]] = {}
     for i, active in enumerate(log.active):
         for name in active:
             ticks.setdefault(name, []).append(i)
     names = sorted(ticks, key=lambda name: -len(ticks[name]))[:LIMITS]
     for row, name in enumerate(names):
-        _runs(raster, log, np.array(ticks[name]), row + 0.55, 0.35, STATUS["LIMITED"])
-        raster.text(log["t"][0], row + 0.3, f"{_short(name, 60)}   {len(ticks[name])}", size=8, color=INK, **TEXT)
+        runs(raster, log, np.array(ticks[name]), row + 0.55, 0.35, STATUS["LIMITED"])
+        raster.text(log["t"][0], row + 0.3, f"{short(name, 60)}   {len(ticks[name])}", size=8, color=INK, **TEXT)
     note = _more(ticks, LIMITS) if ticks else "no limit was active"
     raster.text(0.98, 0.04, note, transform=raster.transAxes, ha="right", size=8, color=MUTED)
     strip.set(ylim=(0, 1), yticks=[])
     strip.tick_params(labelbottom=False)
     raster.set(ylim=(max(5, len(names)) + 0.1, -0.1), yticks=[])
-    _legend(strip, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=5)
+    legend(strip, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=5)
 
 
 def _phases(ax: Axes, log: Log, changes: Sequence[dict[str, Any]]) -> None:
@@ -302,7 +288,7 @@ def _phases(ax: Axes, log: Log, changes: Sequence[dict[str, Any]]) -> None:
     for i, (change, end) in enumerate(zip(changes, ends, strict=True)):
         start, whole = change["start"], ends[-1] - log["t"][0]
         ax.axvspan(start, end, color=(PALE, SHADE)[i % 2], linewidth=0)
-        name = _short(change["name"], int(60 * (end - start) / max(whole, 1e-9)))
+        name = short(change["name"], int(60 * (end - start) / max(whole, 1e-9)))
         ax.text(0.5 * (start + end), 0.5, name, size=8, color=INK, ha="center", **TEXT)
     ax.set(ylim=(0, 1), yticks=[])
     ax.grid(visible=False)
@@ -311,7 +297,7 @@ def _phases(ax: Axes, log: Log, changes: Sequence[dict[str, Any]]) -> None:
 
 def _times(ax: Axes, log: Log) -> None:
     """How long a tick took, beside the control period."""
-    _axes(ax, "time of a tick [µs]").set_yticks([])
+    panel(ax, "time of a tick [µs]").set_yticks([])
     if "step_us" not in log:
         return
     us, period = np.maximum(_known(log["step_us"]), 1e-3).ravel(), 1e6 * float(log.meta["dt"])
@@ -329,19 +315,19 @@ def _times(ax: Axes, log: Log) -> None:
     ax.set(xscale="log", xlim=(low, high), ylim=(0, 1.45 * ax.get_ylim()[1]))
     ax.set_xticks([x for x in ticks if low <= x <= high], [f"{x:g}" for x in ticks if low <= x <= high])
     ax.minorticks_off()
-    _legend(ax, loc="upper right")
+    legend(ax, loc="upper right")
 
 
 def _checks(ax: Axes, summary: dict[str, Any]) -> None:
     """Every bound: what was measured, what was asked. What failed stands first."""
-    _axes(ax, "checks [SI units]").axis("off")
+    panel(ax, "checks [SI units]").axis("off")
     checks = sorted(summary.get("checks", ()), key=lambda check: bool(check["ok"]))
     last = max(8, len(checks[:CHECKS])) + 1
     ax.set(xlim=(0, 1), ylim=(last + 0.4, -0.3))
     _row(ax, 0, ("", "value", "bound", ""), MUTED)
     for y, check in enumerate(checks[:CHECKS], 1):
         cells = (
-            _short(check["name"], 30),
+            short(check["name"], 30),
             "-" if check["value"] is None else f"{check['value']:.3g}",
             _bound(check["bound"]),
             "" if check["ok"] else "FAIL",
@@ -350,7 +336,7 @@ def _checks(ax: Axes, summary: dict[str, Any]) -> None:
         if check["ok"]:
             _row(ax, y, ("", "", "", "ok"), GOOD)
     notes = filter(None, [_more(checks, CHECKS), *summary.get("notes", ())])
-    ax.text(0, last, _short("   ·   ".join(notes), 80), size=8, color=MUTED, **TEXT)
+    ax.text(0, last, short("   ·   ".join(notes), 80), size=8, color=MUTED, **TEXT)
 
 
 def _row(ax: Axes, y: int, cells: Sequence[str], colour: str) -> None:
@@ -359,92 +345,7 @@ def _row(ax: Axes, y: int, cells: Sequence[str], colour: str) -> None:
         ax.text(x, y, text, size=9.5, color=colour, weight=weight, ha=side, **TEXT)
 
 
-# --- parts of a panel ---
-
-
-def _axes(ax: Axes, title: str, log: Log | None = None, told_of: str | None = None) -> Axes:
-    """The house style; with a log, a time axis on which changes of phase are marked, and the settling time after each
-    begin of the quantity `told_of`, or of the run, is shaded."""
-    ax.set_title(title, loc="left", y=1.0, size=11, weight="bold", color=INK, parse_math=False)
-    ax.grid(color=GRID, linewidth=0.7)
-    ax.tick_params(colors=INK, labelsize=8, length=0)
-    ax.set(facecolor="white", axisbelow=True)
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.yaxis.set_major_formatter("{x:g}")
-    for side, spine in ax.spines.items():
-        spine.set(visible=side in ("left", "bottom"), color=MUTED)
-    if log is not None and "t" in log:
-        start, end = log["t"][0], log["t"][-1] + log.meta["dt"]
-        ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
-        for begin in _begins(log, told_of):
-            ax.axvspan(begin, min(begin + log.meta.get("settle", 0.0), end), color=SHADE, linewidth=0, zorder=0)
-        for change in log.meta.get("changes", ())[1:]:
-            ax.axvline(change["start"], color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)), zorder=0.5)
-        ax.locator_params(axis="x", nbins=8)
-        ax.xaxis.set_major_formatter("{x:g} s")
-    return ax
-
-
-def _legend(ax: Axes, **where: Any) -> None:
-    if any(ax.get_legend_handles_labels()[1]):
-        for text in ax.legend(**LEGEND, **where).get_texts():
-            text.set_parse_math(False)
-
-
-def _lines(ax: Axes, log: Log, y: Array, labels: list[str] | str, colour: str = "", **style: Any) -> None:
-    """One line a column of y (N, m) over time, all under one label if it is a text; a single tick is a dot."""
-    look: dict[str, Any] = {"marker": "o" if log.size == 1 else "", "markersize": 4, "alpha": 0.9, **style}
-    for i, column in enumerate(y.T):
-        label = labels[i] if isinstance(labels, list) else "" if i else labels
-        ax.plot(*_thin(log["t"], column), color=colour or COLOURS[i % JOINTS], label=label, **look)
-
-
-def _runs(ax: Axes, log: Log, on: NDArray[np.int_], low: float, height: float, colour: str, label: str = "") -> None:
-    """The ticks `on` as bars, no thinner than a line, so that one tick of many is seen."""
-    t = np.append(log["t"], log["t"][-1] + log.meta["dt"])
-    stretches = [run for run in np.split(on, np.flatnonzero(np.diff(on) > 1) + 1) if run.size]
-    if stretches:
-        spans = [(t[run[0]], t[run[-1] + 1] - t[run[0]]) for run in stretches]
-        ax.broken_barh(spans, (low, height), facecolor=colour, edgecolor=colour, linewidth=1.2, label=label)
-
-
-def _window(ax: Axes, *parts: Array, head: float = 1.0) -> None:
-    """Frame these values, with `head` times the margin above them, for a legend."""
-    values = np.concatenate([part.ravel() for part in parts])
-    low, high = values.min(), values.max()
-    pad = max(0.1 * (high - low), 1e-6)
-    ax.set_ylim(low - pad, high + head * pad)
-
-
 # --- numbers and words ---
-
-
-def _thin(t: Array, y: Array) -> tuple[Array, Array]:
-    """About POINTS points at most: the least and the greatest of every stretch."""
-    if t.size <= POINTS:
-        return t, y
-    starts = np.arange(0, t.size, -(-2 * t.size // POINTS))
-    return np.repeat(t[starts], 2), np.column_stack((np.fmin.reduceat(y, starts), np.fmax.reduceat(y, starts))).ravel()
-
-
-def _on(log: Log, name: str | None) -> NDArray[np.bool_]:
-    """(N,) ticks in which a quantity is known; all of them without a name, or when there are none."""
-    everything = np.ones(log.size, bool)
-    known = everything if name is None else np.isfinite(log[name].reshape(log.size, -1)).all(axis=1)
-    return np.asarray(known if known.any() else everything)
-
-
-def _begins(log: Log, name: str | None) -> Array:
-    """Times at which a quantity begins to be known [s]."""
-    on = _on(log, name)
-    return log["t"][on & ~np.concatenate((np.zeros(min(1, on.size), bool), on[:-1]))]
-
-
-def _settled(log: Log, name: str | None = None) -> NDArray[np.bool_]:
-    """(N,) ticks after the settling time of a quantity, or of the run; all of its ticks when there are none."""
-    on = _on(log, name)
-    late = log.late(on, log.meta.get("settle", 0.0))
-    return late if late.any() else on
 
 
 def _known(y: Array) -> Array:
@@ -464,10 +365,6 @@ def _share(x: Array, down: Array, up: Array) -> Array:
     scale = np.where(x >= 0.0, up, down)
     known = np.isfinite(x) & np.isfinite(scale) & (scale > 0.0)
     return np.where(known, x, np.nan) / np.where(known, scale, 1.0)
-
-
-def _short(text: str, length: int) -> str:
-    return text if len(text) <= length else text[: length - 1] + "…"
 
 
 def _more(names: Sized, most: int) -> str:

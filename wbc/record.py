@@ -12,10 +12,12 @@ from . import analytic
 from .build import Built
 from .centroidal import MomentumTask
 from .contact import Contact
-from .controller import Controller, Output, Status
+from .controller import Controller
 from .dynamics import mobility, unheld
 from .impedance import Compliance
+from .ladder import Status
 from .log import Log
+from .memory import Output
 from .metrics import APART
 from .phase import Phase, hold, stored
 from .qp import Array

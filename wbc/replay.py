@@ -18,9 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .controller import Controller, Memory, Output, Status
+from .controller import Controller
 from .errors import LogError
+from .ladder import Status
 from .log import Log
+from .memory import Memory, Output
 from .pack import Packed, Structure
 from .qp import Array
 from .solver import Solver

@@ -13,6 +13,8 @@ import pinocchio as pin
 from eigenpy import LLT
 
 from . import model as models
+from .convention import acceleration_to_mujoco, acceleration_to_pinocchio, to_mujoco, to_pinocchio
+from .crosscheck import require_agreement
 from .errors import ModelError, NameNotFound
 from .frame import Frame, Frames, Mounts, mounts
 from .kernels.compiled import Counts
@@ -230,7 +232,7 @@ class Robot:
         if composed.passive:
             mj = models.compile_model(models.lock(composed))
         model = models.pinocchio_model(mj)
-        error = models.require_agreement(mj, model)
+        error = require_agreement(mj, model)
         low, high = models.torque_limits(mj)
         q_min, q_max = _position_limits(mj)
         keyframes = {"home": mj.qpos0} | {name: qpos for name, qpos in composed.keys.items() if qpos.size == mj.nq}
@@ -245,7 +247,7 @@ class Robot:
             q_min=q_min[floating:],
             q_max=q_max[floating:],
             v_max=_velocity_limits(mj)[floating:],
-            keyframes={name: models.to_pinocchio(mj, qpos, np.zeros(mj.nv))[0] for name, qpos in keyframes.items()},
+            keyframes={name: to_pinocchio(mj, qpos, np.zeros(mj.nv))[0] for name, qpos in keyframes.items()},
             gravity=gravity,
             damping=damping if damping.any() else None,
             mujoco=mj,
@@ -342,14 +344,14 @@ class Robot:
     def from_mujoco(self, qpos: Array, qvel: Array, qacc: Array | None = None) -> tuple[Array, ...]:
         """MuJoCo's (qpos, qvel) or (qpos, qvel, qacc) of this robot as (q, v) or (q, v, vdot). Exact."""
         mj = self._compiled()
-        found = models.to_pinocchio(mj, qpos, qvel)
-        return found if qacc is None else (*found, models.acceleration_to_pinocchio(mj, qpos, qvel, qacc))
+        found = to_pinocchio(mj, qpos, qvel)
+        return found if qacc is None else (*found, acceleration_to_pinocchio(mj, qpos, qvel, qacc))
 
     def to_mujoco(self, q: Array, v: Array, vdot: Array | None = None) -> tuple[Array, ...]:
         """(q, v) or (q, v, vdot) as MuJoCo's (qpos, qvel) or (qpos, qvel, qacc). Exact."""
         mj = self._compiled()
-        found = models.to_mujoco(mj, q, v)
-        return found if vdot is None else (*found, models.acceleration_to_mujoco(mj, q, v, vdot))
+        found = to_mujoco(mj, q, v)
+        return found if vdot is None else (*found, acceleration_to_mujoco(mj, q, v, vdot))
 
     def _compiled(self) -> Any:
         if self.mujoco is None:

@@ -15,12 +15,13 @@ import numpy as np
 
 from . import material
 from .build import Built
-from .controller import Controller, Output
+from .controller import Controller
 from .errors import SimulationError
 from .fault import FaultPlan
 from .feeling import unfelt
 from .impedance import Compliance
 from .log import Log
+from .memory import Output
 from .metrics import metrics
 from .model import quietly
 from .phase import Phase
@@ -47,7 +48,8 @@ class Result:
 
     def write(self, folder: Path) -> None:
         """`log.npz`, `summary.json`, `report.png`, and where there are frequency responses `bode.png`, in `folder`."""
-        from .plot import bode_plot, report
+        from .bode import bode_plot
+        from .plot import report
 
         folder.mkdir(parents=True, exist_ok=True)
         self.log.save(folder / "log.npz")
@@ -106,14 +108,13 @@ def _loop(
 ) -> None:  # fmt: skip
     controller = built.controller
     before: tuple[Observation, Output, State] | None = None
-    deaf = unfelt(built.robot, built.phases)
-    feeling = [name for phase in built.phases for name in phase.feeling if name not in deaf]
+    feeling = felt_names(built)
     feet, recorder = _sensitive(built.phases), Recorder(built, simulator, log)
     for tick in range(ticks):
         if plan is not None:
             plan.begin(tick, simulator)
         seen = simulator.observe()
-        measured = _measured(simulator, controller, before, seen)
+        measured = wrist(simulator, controller, before, seen)
         given = dict.fromkeys(feeling, measured) if measured is not None else None
         if recorder.true and feet:
             felt = {name: simulator.sensed(recorder.true[name].F, frame) for name, frame in feet.items()}
@@ -140,7 +141,13 @@ def _loop(
             progress(tick + 1)
 
 
-def _measured(
+def felt_names(built: Built) -> list[str]:
+    """What is told the wrench of the wrist sensor: contacts, and tasks that have none."""
+    deaf = unfelt(built.robot, built.phases)
+    return [name for phase in built.phases for name in phase.feeling if name not in deaf]
+
+
+def wrist(
     simulator: Simulator, controller: Controller, before: tuple[Observation, Output, State] | None, seen: Observation
 ) -> Wrench | None:
     """The wrist sensor's wrench of the last tick. A push that the model cannot predict moves the tool as well: then

@@ -37,7 +37,7 @@ from .task import MotionTask
 
 if TYPE_CHECKING:
     from .contact import Contact
-    from .controller import Output
+    from .memory import Output
     from .phase import Phase
     from .robot import Robot, State
     from .sim import Simulator

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import __version__
-from .controller import Controller, Memory, Output, Status
+from .controller import Controller
+from .ladder import Status
+from .memory import Memory, Output
 from .pack import Codec, Kinds, Stream
 from .qp import Array
 from .robot import Robot

@@ -17,17 +17,19 @@ import numpy as np
 import pinocchio as pin
 
 from .build import Built, build
-from .controller import Controller, Memory, Phase, Status
+from .controller import Controller
 from .coordinates import to_mujoco
+from .crosscheck import point_jacobian
 from .errors import SpecError
 from .faults import Faults, Place
 from .impedance import Compliance, Felt
+from .ladder import Status
 from .limit import TorqueLimit
-from .model import point_jacobian
+from .memory import Memory
 from .observer import Observed
 from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relative
 from .pair import movable
-from .phase import hold
+from .phase import Phase, hold
 from .qp import Array
 from .relative import RelativeTask
 from .robot import State

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ def picture(result: Mapping[str, Any], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from ..plot import DPI, INK, MUTED
+    from ..chart import DPI, INK, MUTED
 
     fig = Figure(figsize=(16.0, 7.0), dpi=DPI, facecolor="white")
     fig.suptitle(
@@ -39,7 +39,7 @@ def picture(result: Mapping[str, Any], path: Path) -> None:
 
 def _styles(names: list[str]) -> dict[str, dict[str, Any]]:
     """One colour a solver; tuned full, as it comes dashed, plain dotted."""
-    from ..plot import COLOURS
+    from ..chart import COLOURS
 
     solvers = list(dict.fromkeys(name.split(" (")[0] for name in names))
     return {
@@ -61,12 +61,13 @@ def _profiles(ax: Axes, result: Mapping[str, Any], styles: Mapping[str, Any]) ->
 
 def _accuracy(ax: Axes, result: Mapping[str, Any], styles: Mapping[str, Any]) -> None:
     """Median time against the worst torque error: of the certified answers, and of all where that is more."""
+    named = []
     for name, row in result["solvers"].items():
         colour, us, certified = styles[name]["color"], row["us"]["p50"], row["certified"]["tau_error"]
         full = "none" if styles[name]["linestyle"] != "-" else colour
         if certified is not None:
             ax.plot(us, max(certified, EXACT), "o", color=colour, markerfacecolor=full, markersize=8)
-            ax.annotate(name, (us, max(certified, EXACT)), (5, 5), textcoords="offset points", size=8, color=colour)
+            named.append((us, max(certified, EXACT), name, colour))
         every = row["max_tau_error"]
         if every is not None and (certified is None or every > 1.5 * certified):
             ax.plot(us, every, "x", color=colour, markersize=8)
@@ -76,6 +77,27 @@ def _accuracy(ax: Axes, result: Mapping[str, Any], styles: Mapping[str, Any]) ->
     ax.set_title("worst torque error [N m]: certified (o), all that was answered (x)", loc="left", size=10)
     ax.grid(alpha=0.3)
     ax.margins(0.12)
+    _name(ax, named)
+
+
+def _name(ax: Axes, named: Sequence[tuple[float, float, str, str]]) -> None:
+    """Names (x, y, name, colour) beside their points, none over another: from below, each as low as it can stand."""
+    line, wide, gap = 11.0, 5.0, 6.0  # [points] of a line, a letter, and from the point
+    ax.autoscale_view()
+    low, high = ax.get_xlim()
+    middle, scale = (low * high) ** 0.5, 72.0 / ax.figure.dpi
+    taken: list[tuple[float, float, float]] = []
+    for x, y, name, colour in sorted(named, key=lambda each: each[1]):
+        left, (at, up) = x > middle, ax.transData.transform((x, y)) * scale
+        begin = at - gap - wide * len(name) if left else at + gap
+        end, above = begin + wide * len(name), up - 3.0
+        while any(b < end and begin < e and abs(above - u) < line for b, e, u in taken):
+            above += 1.0
+        taken.append((begin, end, above))
+        offset = (-gap if left else gap, above - up)
+        ax.annotate(
+            name, (x, y), offset, textcoords="offset points", size=8, color=colour, ha="right" if left else "left"
+        )
 
 
 def _growth(ax: Axes, result: Mapping[str, Any], styles: Mapping[str, Any]) -> None:

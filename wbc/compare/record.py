@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..controller import Output, Status
 from ..errors import ProblemError
+from ..ladder import Status
+from ..memory import Output
 from ..qp import Array, Problem, Workspace
 from ..solver import Daqp, answer, as_qpsolvers
 

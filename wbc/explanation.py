@@ -8,11 +8,13 @@ name, without what nobody can change: the dynamics. Of an answer it tells
 with F - h_C = M_C Vdot + A' lambda: motion is J' P (F - h_C), force J' (I - P) (F - h_C), dynamics J' h_C, and a
 redundant arm adds its null space, (I - J' Jbar') (M vdot + h). Where no single frame tells the task (no contact or
 several, a floating base) the same is told of the joints: h for J' h_C, and P of all contact rows G,
-P = I - G' (G M^-1 G')^-1 G M^-1.
+P = I - G' (G M^-1 G')^-1 G M^-1. Of a torque that is held without an answer dynamics is gravity, force J' lambda of the
+last certified wrenches, and motion the rest: damping, and what is being let go.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -43,8 +45,8 @@ class Explanation:
     """One tick, explained.
 
     `conflict`: a set of constraints that cannot hold together and can without any one of them; empty where all hold.
-    `others`: names of further conflicts, which remain when one of the first is dropped. Of an answer, where there is
-    one: `tau` (nu,) as sent, `split` by part, `tasks`, `limits` at work and what is left to the `regulariser`.
+    `others`: names of further conflicts, which remain when one of the first is dropped. `tau` (nu,) as sent and its
+    `split` by part. Of an answer, where there is one: `tasks`, `limits` at work, what is left to the `regulariser`.
     """
 
     t: float
@@ -78,24 +80,33 @@ class Explanation:
 
 
 def explain(controller: Controller) -> Explanation:
-    """The controller's last tick. It changes nothing that a later tick reads."""
+    """The controller's last tick, in tens of milliseconds. It changes nothing that a later tick reads.
+
+    Where contacts were dropped the conflict is that of the tick with all of them, and the torque that without. A tick
+    that was refused, or held until reset, solved nothing: it has no conflict of its own. Raises SolverError where it
+    cannot be shown whether constraints conflict.
+    """
     tick, out, joints = controller.tick, controller.output, controller.robot.joints
     if out is None:
         return Explanation(0.0, "NONE", "no tick was made", joints)
-    if tick is None:  # held, or refused before it came to a problem
-        return Explanation(controller.state.t, out.status.value, out.reason, joints)
-    told = {"t": tick.state.t, "status": out.status.value, "reason": out.reason, "joints": joints}
+    told = {"status": out.status.value, "reason": out.reason, "joints": joints, "tau": out.tau}
     conflict, others = (), ()  # type: tuple[Culprit, ...], tuple[tuple[str, ...], ...]
-    if not tick.solution.accepted or tick.program.yielded:
-        conflict, others = Hard(tick, controller.dt).conflict()
-    if not tick.solution.accepted:
-        return Explanation(conflict=conflict, others=others, **told)  # type: ignore[arg-type]
+    if tick is not None:
+        asked = tick.refused or tick
+        if not asked.solution.accepted or tick.program.yielded:
+            conflict, others = Hard(asked, controller.dt).conflict()
+    if tick is None or not tick.solution.accepted:
+        t = controller.state.t if tick is None else tick.state.t
+        return Explanation(t, conflict=conflict, others=others, split=_of_hold(controller), **told)  # type: ignore[arg-type]
+    if tick.refused is not None:  # as it was solved, without the contacts that were dropped
+        state = copy.copy(tick.state)
+        state.contacts = {name: each for name, each in state.contacts.items() if name in tick.program.phase.contacts}
+        tick = tick._replace(state=state)
     memory = controller.memory
     assert memory is not None
     given = memory.gravity if controller.robot.gravity == "robot" else np.zeros(len(joints))
-    split = _split(tick, memory.tau, given)
     return Explanation(
-        conflict=conflict, others=others, tau=out.tau, split=split, tasks=pulls(tick),
+        tick.state.t, conflict=conflict, others=others, split=_split(tick, memory.tau, given), tasks=pulls(tick),
         limits=_active(tick, controller.dt), regulariser=decided(tick), **told,  # type: ignore[arg-type]
     )  # fmt: skip
 
@@ -158,3 +169,17 @@ def _of_joints(tick: Tick, vdot: Array, pushed: Array) -> dict[str, Array]:
     G = np.concatenate([np.zeros((0, vdot.size)), *(each.G for each in state.contacts.values())])
     held_back = G.T.dot(inertia(mobility(state, G)).dot(G.dot(vdot))) if len(G) else np.zeros(vdot.size)
     return {"motion": total - held_back, "force": pushed + held_back, "dynamics": state.bias.copy()}
+
+
+def _of_hold(controller: Controller) -> dict[str, Array] | None:
+    """The same of a torque that no answer stands behind; None before the controller has started."""
+    memory, state, base = controller.memory, controller.state, controller.robot.base
+    if memory is None:
+        return None
+    gravity, pushed = state.gravity(), np.zeros(state.v.size)
+    for name, lam in memory.lam.items():
+        if name in state.contacts:
+            pushed = pushed + state.contacts[name].push.T.dot(lam)
+    given = memory.gravity if controller.robot.gravity == "robot" else np.zeros(memory.tau.size)
+    force, motion = pushed[base:], memory.tau - gravity[base:] - pushed[base:]
+    return {"motion": motion, "force": force, "dynamics": gravity[base:] - given}
