@@ -25,6 +25,8 @@ from wbc.spec.task import Jump
 from wbc.tape import CODEC
 from wbc.task import RATE, SPEEDS, MotionTask, PostureTask
 
+pytestmark = pytest.mark.row(13)
+
 FAST = (1.0, 4.0)  # [m/s], [rad/s] for tests that are to end soon
 
 

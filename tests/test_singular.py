@@ -18,6 +18,8 @@ from wbc.spec import load
 from wbc.spec.task import MotionTask as MotionEntry
 from wbc.task import MotionTask, PostureTask
 
+pytestmark = pytest.mark.row(12)
+
 PLANE = ("wy", "vx", "vz")
 LIMITS = {"torque_rate": 1000.0}
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"

@@ -24,6 +24,8 @@ from wbc.spec import load
 from wbc.tank import Bounded, pressed
 from wbc.tape import CODEC
 
+pytestmark = pytest.mark.row(15)
+
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 SEEDS = [int(os.environ["WBC_SEED"])] if "WBC_SEED" in os.environ else range(1000)
 DT, TICKS, LATE = 1e-3, 400, 20
