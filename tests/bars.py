@@ -237,3 +237,10 @@ OBSERVER_ERROR = 0.05  # [N] against the lag-filtered truth
 WIND_UP = 1.3  # the impact after 10 s of wait over that of a run without them
 TANK = 0.0  # [J] of energy, at least, on 1000 seeds with 1 to 20 ms of delay
 EXPLAINED = 0.95  # of generated ticks without an answer, whose known culprits `wbc explain` names
+
+# speed [m/s] at which a singularity is crossed -> acceleration of a joint [rad/s^2], change of a torque [N m/s]
+SINGULAR: dict[float, tuple[float, float]] = {0.02: (5.0, 50.0), 0.5: (100.0, 1000.0)}
+
+# after a target that jumps by 0.5 m, 180 degrees or 100 N, or a clock: changes of a torque [N m/s], and how far it goes
+# beyond its target [m], [N]
+JUMP = {"rate": 300.0, "beyond": 1e-3, "force rate": 600.0, "force": 5.0, "clock": 100.0}

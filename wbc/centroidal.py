@@ -22,7 +22,8 @@ from .frame import Frame
 from .qp import Array, Rows
 from .reference import Reference, Sample
 from .robot import State
-from .task import PostureTask
+from .singular import LEAST
+from .task import SPEEDS, PostureTask
 
 _ORDER = [3, 4, 5, 0, 1, 2]
 BASE_SHARE = 1e-3  # what a posture's base weighs against its joints
@@ -76,25 +77,41 @@ class ComTask:
     """
 
     def __init__(
-        self, path: Reference, kp: Any = 40.0, kd: Any = 12.0, over: Mapping[str, float] | None = None
+        self,
+        path: Reference,
+        kp: Any = 40.0,
+        kd: Any = 12.0,
+        over: Mapping[str, float] | None = None,
+        singular: float = LEAST,
+        jump: tuple[float, float] | None = SPEEDS,
     ) -> None:
-        self.path, self.over = path, dict(over or {})
+        self.path, self.over, self.singular, self.jump = path, dict(over or {}), singular, jump
+        self._told: tuple[State, Any, Sample] | None = None
         self.Kp, self.Kd = gain_matrix(kp, 3, "kp"), gain_matrix(kd, 3, "kd")
         self._K = np.hstack((self.Kp, self.Kd))
 
     def desired(self, state: State) -> tuple[Array, Array, Array]:
         """(3,) c_d, its velocity and its acceleration in the world."""
-        sample = self._sample(state)
+        sample = self.followed(state)
         R, (w, v), (_, vdot) = sample.T.rotation, sample.V.reshape(2, 3), sample.Vdot.reshape(2, 3)
         return sample.T.translation, R.dot(v), R.dot(vdot + pin.skew(w).dot(v))
 
-    def _sample(self, state: State) -> Sample:
+    @property
+    def reference(self) -> Reference:
+        """The path."""
+        return self.path
+
+    def followed(self, state: State) -> Sample:
+        """The path as it is followed at this tick."""
         start = state.starts.get(self)
-        return self.path(state.t) if start is None else start.sample(self.path, state.t)
+        if self._told is None or self._told[0] is not state or self._told[1] is not start:
+            sample = self.path(state.t) if start is None else start.sample(self.path, state.t)
+            self._told = (state, start, sample)
+        return self._told[2]
 
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (3, nv) and (3,)."""
-        (c, J, drift), sample, b = com(state), self._sample(state), np.empty(3)
+        (c, J, drift), sample, b = com(state), self.followed(state), np.empty(3)
         kernels.point_target(sample.R, sample.p, sample.motion, c, J, state.v, drift, self._K, b)
         return J, b
 

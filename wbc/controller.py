@@ -18,6 +18,7 @@ from .handover import hand_over
 from .holding import HELD, Answer, Holding
 from .impedance import NEW, Felt
 from .inputs import Inputs
+from .jump import kept, lead_in
 from .kernels import torque
 from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status
 from .memory import NEW_WATCH, NOTHING, Memory, Output
@@ -268,6 +269,9 @@ class Controller:
             program = self._programs[memory.phase]
             tau_last = program.phase.torque.inside(tau_last)
         self.recalled = memory
+        past = 0.0 if memory.t is None else t - memory.t
+        followed, starts = lead_in(program, state, memory.followed, memory.starts, past, self.dt)
+        memory = memory._replace(followed=followed, starts=starts)
         state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
         if program.phase.compliant:
             memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
@@ -330,7 +334,7 @@ class Controller:
         felt = {name: memory.felt[name] for name in after.phase.compliant if name in memory.felt}
         return memory._replace(
             phase=index, phase_start=t, starts=starts, loops=loops, watch=NEW_WATCH, why=why, felt=felt,
-            grounds=grounds,
+            grounds=grounds, followed=kept(memory.followed, before.phase, after, starts, state.t),
         )  # fmt: skip
 
     def _stop(self, q: Array, v: Array, change: Change) -> Output:
@@ -366,20 +370,20 @@ class Controller:
             if name in force:
                 loops[name] = force[name][1].advance(state, lam[name])
         found = workspace.active(solution.z)
-        names = found or program.pushing or program.phase.tanks
+        names = found or program.pushing or state.gave or program.phase.tanks
         active = program.names(solution.z, found, state, tau_last, self.dt) if names else ()
         if dropped:  # they are told of as before, but carry nothing
             active = (*(f"{name}.dropped" for name in dropped), *active)
             hold(state, self._programs[memory.phase].phase)
         good = 0 if missed >= MISSED_DEGRADED else memory.good + 1
-        status, reason = _rated(program, solution, active, dropped, refused, missed, good)
+        status, reason = _rated(program, solution, active, dropped, refused, [*state.gave.values()], missed, good)
         grounds = floors(state, program.phase, memory.grounds, wrenches) if program.phase.standing else NOTHING
         by_robot = self.robot.gravity == "robot"
         gravity = state.gravity() if by_robot else memory.gravity
         self._memory = Memory(
             t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
             state.targets, status, 0, good, memory.starts, memory.watch, memory.why, memory.felt, grounds,
-            memory.stale,
+            memory.stale, memory.followed,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)
@@ -401,7 +405,7 @@ class Controller:
 
 def _rated(
     program: Program, solution: Solution, active: Sequence[str], dropped: Sequence[str], refused: list[str],
-    missed: int, good: int,
+    gave: list[str], missed: int, good: int,
 ) -> tuple[Status, str]:  # fmt: skip
     """How good a certified tick is, and why it is not OK."""
     status, reason = Status.OK, ""
@@ -410,10 +414,10 @@ def _rated(
         if dropped:
             told.append(f"{' and '.join(dropped)} dropped: not to be held within the torque limits")
         if program.yielded:
-            gave = program.gave_way(solution.x)
-            why = f"{gave} yield: nothing satisfies them within the torque limits"
-            told.append(why if gave else "nothing yields, but the first answer was refused")
-        reason = "; ".join(told or ["at the limit: " + ", ".join(active)])
+            yielded = program.gave_way(solution.x)
+            why = f"{yielded} yield: nothing satisfies them within the torque limits"
+            told.append(why if yielded else "nothing yields, but the first answer was refused")
+        reason = "; ".join([*told, *gave] or ["at the limit: " + ", ".join(active)])
     if good < GOOD_TICKS:
         late = missed >= MISSED_DEGRADED
         status = Status.DEGRADED

@@ -116,16 +116,16 @@ def reaction(state: State, tau: Array) -> dict[str, Array]:
 def inertia_within(K: Array, W: Array, first: int, m: int) -> Array:
     """(m, m) inertia of the rows `first` and on of those of a mobility K, while the first, of the inertia W, hold."""
     free, found = np.empty((m, m)), np.empty((m, m))
-    return found if kernels.within(K, W, first, free, found) else _inertia(free)
+    return found if kernels.within(K, W, first, free, found) else inertia_of_what_moves(free)
 
 
 def inertia(mobility_of_rows: Array) -> Array:
     """(m, m) inverse of a mobility: M_C of the rows (book 8.6). Directions that cannot move weigh nothing."""
     W = np.empty(mobility_of_rows.shape)
-    return W if kernels.inverse(mobility_of_rows, W) else _inertia(mobility_of_rows)
+    return W if kernels.inverse(mobility_of_rows, W) else inertia_of_what_moves(mobility_of_rows)
 
 
-def _inertia(mobility_of_rows: Array) -> Array:
+def inertia_of_what_moves(mobility_of_rows: Array) -> Array:
     """The same of dependent rows (redundant contacts, a singular pose): the inverse of what can move."""
     values, vectors = np.linalg.eigh(mobility_of_rows)
     keep = values > 1e-10 * values.max()

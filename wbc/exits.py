@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from . import quantity as quantities
 from . import spec as specs
 from .contact import Contact
@@ -71,6 +73,8 @@ def _reading(
         base.faults.add(
             path, f"the reference of {subject!r} never ends; expected one that does, or another end: `time`"
         )
+    if what == "singular":
+        return quantities.singular(task, base.robot.state(q, np.zeros(base.robot.nv)), contacts)
     return {"done": quantities.done, "error": quantities.error, "speed": quantities.speed}[what](task)
 
 

@@ -16,6 +16,7 @@ import pinocchio as pin
 
 from .centroidal import ComTask, DistributionTask, com, middle
 from .dynamics import reaction
+from .lead import SLOPE, Lead, fall, run
 from .phase import Program
 from .qp import Array
 from .reference import ALL_AXES, Reference, Sample, advanced, seen_from
@@ -27,7 +28,6 @@ FADE_SPEED, FADE_TURN = 0.1, 0.5  # [m/s], [rad/s] no faster than this
 SHARING = "distribution"  # of the contacts, where no task says it
 NOTHING = 1e-9  # [m, rad, m/s, rad/s] of difference
 _ORDER = [3, 4, 5, 0, 1, 2]
-_SLOPE = 1.875  # the largest of a quintic from 0 to 1
 
 
 class Start(NamedTuple):
@@ -44,9 +44,20 @@ class Start(NamedTuple):
     screws: Array | None = None
     fade: float = 0.0  # [s]
     loads: Mapping[str, Array] = {}  # multipliers that the contacts had, of what shares them from now on
+    lead: Lead | None = None  # into a reference that has jumped since
+
+    @property
+    def settles(self) -> float:
+        """When nothing is left of how the task began, and of jumps since [s after it began]."""
+        return self.fade if self.lead is None else max(self.fade, self.lead.ends - self.t)
 
     def sample(self, reference: Reference, t: float) -> Sample:
         """What is followed at time t [s]."""
+        sample = self._begun(reference, t)
+        return sample if self.lead is None else self.lead.onto(sample, t)
+
+    def _begun(self, reference: Reference, t: float) -> Sample:
+        """The same, but for a jump of the reference since."""
         s = t - self.t
         sample = reference(s)
         if self.shift is not None:
@@ -56,16 +67,7 @@ class Start(NamedTuple):
         if self.screws is None or s >= self.fade:
             return sample
         T, u = self.fade, max(s / self.fade, 0.0)
-        a = (
-            1.0 - u**3 * (10.0 - 15.0 * u + 6.0 * u * u),
-            -30.0 * (u * (1.0 - u)) ** 2 / T,
-            -60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / T**2,
-        )
-        b = (
-            T * u * (1.0 - u * u * (6.0 - 8.0 * u + 3.0 * u * u)),
-            1.0 - u * u * (18.0 - 32.0 * u + 15.0 * u * u),
-            -u * (36.0 - 96.0 * u + 60.0 * u * u) / T,
-        )
+        a, b = fall(u, T), run(u, T)
         return advanced(self.screws[1], *b, advanced(self.screws[0], *a, sample))
 
 
@@ -81,7 +83,7 @@ def take_up(reference: Reference, t: float, T: pin.SE3, V: Array, start: Start |
     if max(np.abs(pose).max(), np.abs(twist).max()) <= NOTHING:
         return start
     far = max(float(np.linalg.norm(pose[3:])) / FADE_SPEED, float(np.linalg.norm(pose[:3])) / FADE_TURN)
-    return start._replace(screws=np.array([pose, twist]), fade=max(FADE, _SLOPE * far))
+    return start._replace(screws=np.array([pose, twist]), fade=max(FADE, SLOPE * far))
 
 
 def _com_taken_up(task: ComTask, state: State) -> Start:

@@ -26,8 +26,9 @@ from .observer import MomentumObserver, Observed, smoothing
 from .qp import Array, Rows
 from .reference import Reference, Sample, Scalar
 from .robot import State
+from .singular import LEAST
 from .tank import Bounded, Tank
-from .task import pose_errors
+from .task import SPEEDS, pose_errors
 from .wrench import VELOCITY_AXES
 
 SOURCES = ("measured", "observer", "acceleration", "none")
@@ -73,10 +74,13 @@ class Compliance:
         source: str = "measured",
         filter: float | None = None,
         observer: MomentumObserver | None = None,
+        singular: float = LEAST,
+        jump: tuple[float, float] | None = SPEEDS,
         K_scale: Scalar | None = None,
         tank: Bounded | None = None,
     ) -> None:
-        self.K_scale, self.tank = K_scale, tank
+        self.singular, self.jump, self.K_scale, self.tank = singular, jump, K_scale, tank
+        self._told: tuple[State, Any, Sample] | None = None
         self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
         self.split, self.source, self.filter, self.observer = error == "split", source, filter, observer
         if source not in SOURCES or (source == "observer") != (observer is not None):
@@ -95,7 +99,12 @@ class Compliance:
     def desired(self, state: State) -> Sample:
         """The reference as it is followed at this tick, led in from where the frame was when the task began."""
         start = state.starts.get(self)
-        return self.reference(state.t) if start is None else start.sample(self.reference, state.t)
+        if self._told is None or self._told[0] is not state or self._told[1] is not start:
+            sample = self.reference(state.t) if start is None else start.sample(self.reference, state.t)
+            self._told = (state, start, sample)
+        return self._told[2]
+
+    followed = desired
 
     def selection(self, state: State) -> Array:
         """(s, 6) rows S that pick the axes of the task."""

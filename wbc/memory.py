@@ -55,3 +55,4 @@ class Memory(NamedTuple):
     felt: Mapping[str, Felt] = NOTHING  # what tasks know of a push
     grounds: Mapping[str, Ground] = NOTHING  # where feet that measure their force have found the floor
     stale: int = 0  # ticks in a row whose time did not go on
+    followed: Mapping[str, Array] = NOTHING  # of motions and forces, so that none jumps (`jump`)

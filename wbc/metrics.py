@@ -20,6 +20,7 @@
     CONTACT.friction.share                         at any speed: mean of |f_t|/f_n, over the surface's mu [1]
     TASK.position.rms_error, .max_error            distance to the reference along the task's free axes [m]
     TASK.rotation.rms_error, .max_error            angle to the reference about the task's free axes [rad]
+    TASK.singular.min                              smallest singular value of the task in what the contacts leave free
     TASK.speed.max, TASK.overshoot                 speed of the task frame, and beyond that of its reference [m/s]
     TASK.angle.rms_error, .max_error               gaze: between the axis and the direction to its target [rad]
     TASK.kx.rms_error, .max_error ... TASK.lz ...  momentum: against its target, along its axes [N m s, N s]
@@ -99,6 +100,7 @@ def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
 _PEAKS = ("peak", "pull", "asked_pull", "impact", "impact_error")
 _MOTION = (
     "position.rms_error", "position.max_error", "rotation.rms_error", "rotation.max_error", "speed.max", "overshoot",
+    "singular.min",
 )  # fmt: skip
 
 
@@ -151,6 +153,8 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
             out |= _errors(f"{name}.{screw}", log[f"{name}.along"][late][:, i])
         out[f"{name}.speed.max"] = float(speed[late].max()) if late.any() else math.nan
         beyond = (speed - log[f"{name}.desired_speed"])[always]
+        told = log[f"{name}.singular"][always]
+        out[f"{name}.singular.min"] = float(np.nanmin(told)) if np.isfinite(told).any() else math.nan
         out[f"{name}.overshoot"] = float(max(0.0, beyond.max())) if always.any() else math.nan
     for name, task in tasks.items():
         if isinstance(task, GazeTask | MomentumTask) and f"{name}.{_LOGGED[type(task)]}" in log:

@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from .centroidal import ComTask, MomentumTask, WholeBodyPosture
 from .contact import Contact, Held
-from .dynamics import fill, gauss, inertia, mobility, torque_map
+from .dynamics import fill, gauss, inertia, inertia_of_what_moves, mobility, torque_map
 from .effort import TorqueTask
 from .errors import LawError, NameNotFound
 from .foot import RoundFeet, RoundFoot
@@ -28,6 +28,7 @@ from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .relative import GazeTask
 from .robot import Robot, State, Terms
+from .singular import BACK, ease, threshold
 from .solver import ProxQP, Solution, Solver, answer
 from .task import ForceLoop, ForceTask, MotionTask, PostureTask, Task
 from .transition import Exit
@@ -60,6 +61,7 @@ class Phase:
     exit: Exit | None = None
     levels: Mapping[str, int] | None = None  # of the tasks, 1 first: strict priorities. None: the weights decide
     collision: SelfCollision | None = None
+    damped: bool = True  # near singularities
 
     @cached_property
     def fed(self) -> tuple[str, ...]:
@@ -88,6 +90,11 @@ class Phase:
     def compliant(self) -> dict[str, Compliance]:
         """Impedance and admittance tasks, by name."""
         return {name: task for name, task in self.tasks.items() if isinstance(task, Compliance)}
+
+    @cached_property
+    def following(self) -> dict[str, Any]:
+        """Tasks whose reference is led in where it jumps, by name."""
+        return {name: task for name, task in self.tasks.items() if getattr(task, "jump", None) is not None}
 
     @cached_property
     def tanks(self) -> dict[str, ForceTask | Compliance]:
@@ -267,6 +274,7 @@ class Program:
         self.merged: tuple[list[Any], PostureTask, float] | None = None
         compliant = bool(phase.compliant) and len(self.motion) + len(phase.compliant) == len(self.above)
         self.levels = dict.fromkeys(phase.tasks, 1) if phase.levels is None else phase.levels
+        self._first = sum(contact.k for contact in phase.contacts.values())  # rows of the contacts
         if (self.single or compliant) and len(self.posture) == 1 and phase.levels is None:
             names = [*self.above, *self.posture]
             own = {type(phase.tasks[name]) for name in names} <= {
@@ -291,6 +299,9 @@ class Program:
         if viable:
             slack = {f"{rows.name} yield": rows.lo.size for rows in viable}
             self.yielding = Workspace(Variables(sizes | slack), [*hard, *map(_softened, viable)])
+        again = partial(hold, phase=phase)
+        self.thresholds = {n: threshold(t, state, again) for n, t in self.above.items() if hasattr(t, "target")}
+        self._back = (WholeBodyPosture if start.robot.base else PostureTask)(start.q, *BACK, start.robot.nu)
         self._rescue = ProxQP()  # of levels that the solver refuses
         self._starts: tuple[Mapping[str, Any], Mapping[Any, Any]] = ({}, {})
         self._costs: list[Cost] = []
@@ -420,12 +431,14 @@ class Program:
         weights, levels = self.phase.weights, self.levels
         if self.merged is not None:
             above, posture, weight = self.merged
-            G, b = above[0].stack(state) if self.single else _stacked(state, above)
+            G, b = above[0].stack(state) if self.single else self._stacked(state)
+            if self.single:
+                b = self._eased(state, next(iter(self.above)), G, b)
             rows, K = gauss(state, G, b, posture.acceleration(state))
             state.primary = (G, _NO_METRIC, K)
             costs = [(rows, weight, 1)]
         else:
-            costs = [(task.rows(state), weights[name], levels[name]) for name, task in self.above.items()]
+            costs = [(self._rows(state, name), weights[name], levels[name]) for name in self.above]
             if not self.single:
                 costs += self._stack(state, [rows for rows, _, _ in costs])
             for name, posture in self.posture.items():
@@ -440,6 +453,57 @@ class Program:
                 costs.append((Rows("", {contact: None}, zero, zero, mobility(state, held.G)), 1.0, LAST))
         return costs
 
+    def _rows(self, state: State, name: str) -> Rows:
+        """The rows of a task, damped near a singularity."""
+        task = self.above[name]
+        rows, whole = task.rows(state), isinstance(task, MotionTask)
+        b = self._eased(state, name, rows.A.get("vdot"), rows.lo, whole)
+        if b is rows.lo:
+            return rows
+        if not whole:
+            return rows._replace(lo=b, hi=b)
+        G, _, K = state.primary
+        if self.single and not self.posture and self.phase.levels is None:  # all joints are the task's, in M
+            return gauss(state, G, b, self._idle(state))[0]
+        state.primary = (G, W := inertia_of_what_moves(K), K)
+        return Rows("", {"vdot": G}, b, b, W)
+
+    def _eased(self, state: State, name: str, G: Array | None, b: Array, whole: bool = True) -> Array:
+        """The target of a task's rows, damped near a singularity; `whole`: with the contacts' rows first."""
+        law = self.thresholds.get(name)
+        if law is None or not law.least or G is None or not self.phase.damped:
+            return b
+        if whole:
+            told, value = ease(state, G, b, self._first, law, self._idle)
+        else:
+            held, rhs = self._held(state)
+            told, value = ease(state, np.concatenate((held, G)), np.concatenate((rhs, b)), len(held), law, self._idle)
+        if value == np.inf:
+            return b
+        state.gave[f"{name}.singular"] = f"{name} is damped: its smallest singular value is {value:.2g}"
+        return told if whole else told[len(held) :]
+
+    def _held(self, state: State) -> tuple[Array, Array]:
+        """Rows G vdot = rhs of the contacts."""
+        held = list(state.contacts.values())
+        rows, rhs = [np.zeros((0, state.v.size)), *(h.G for h in held)], [np.zeros(0), *(h.rhs for h in held)]
+        return np.concatenate(rows), np.concatenate(rhs)
+
+    def _idle(self, state: State) -> Array:
+        """(nv,) the acceleration of joints that no task moves: what the postures ask for, or back to the start."""
+        postures = {name: each for name, each in self.posture.items() if each.Kp.any()}
+        if not postures:
+            return self._back.acceleration(state)
+        weights = [self.phase.weights[name] for name in postures]
+        return np.average([each.acceleration(state) for each in postures.values()], axis=0, weights=weights)
+
+    def _stacked(self, state: State) -> tuple[Array, Array]:
+        """Rows of the contacts, then of all tasks: G vdot = b."""
+        rows, rhs = self._held(state)
+        own = [(name, *task.target(state)) for name, task in self.above.items()]  # type: ignore[attr-defined]
+        G = np.concatenate([rows, *(A for _, A, _ in own)])
+        return G, np.concatenate([rhs, *(self._eased(state, name, A, b, whole=False) for name, A, b in own)])
+
     def _stack(self, state: State, above: list[Rows]) -> list[Cost]:
         """All that the posture stays out of, where it is more than one motion task; a cost that keeps H definite."""
         held = list(state.contacts.values())
@@ -449,7 +513,7 @@ class Program:
             return []
         G = np.concatenate(stack)
         K = mobility(state, G)
-        W = inertia(K)
+        W = inertia_of_what_moves(K) if state.gave else inertia(K)
         state.primary = (G, W, K)
         if self.motion or self.phase.compliant or not held:
             return []
@@ -462,6 +526,7 @@ class Program:
         """Names of active rows of the last problem, with which of two limits it is that binds."""
         names = [f"{name}.lifted" for name in self.pushing if state.contacts[name].lifted]
         names += [f"{name}.{state.loops[name].cut}" for name in self.force if state.loops[name].cut]
+        names += state.gave
         for name, task in self.phase.tanks.items():
             memory = state.loops[task.contact] if isinstance(task, ForceTask) else state.felt[task]
             if memory.tank is not None and memory.tank.limited:
@@ -486,14 +551,6 @@ class Program:
 def _softened(rows: Rows) -> Rows:
     """Rows that may give way, each by a slack of its own."""
     return rows._replace(A={**rows.A, f"{rows.name} yield": None})
-
-
-def _stacked(state: State, tasks: Sequence[Any]) -> tuple[Array, Array]:
-    """Rows of the contacts, then of all tasks: G vdot = b."""
-    own = [task.target(state) for task in tasks]
-    held = list(state.contacts.values())
-    G = np.concatenate([h.G for h in held] + [rows for rows, _ in own])
-    return G, np.concatenate([h.rhs for h in held] + [rhs for _, rhs in own])
 
 
 def _fill(workspace: Workspace, costs: Sequence[Cost], hard: Sequence[Rows] = ()) -> bool:

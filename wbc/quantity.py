@@ -5,6 +5,7 @@ CONTACT.AXIS       wrench of the robot on the environment, at the contact's fram
 CONTACT.distance   of its frame from where the contact holds it, against its push or along the one axis held [m]
 CONTACT.slip       speed of its frame across its push along what friction is to hold there, while it is active [m/s]
 TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s] (as the task sees it)
+TASK.singular      smallest singular value of the task's rows in what the contacts leave free (`wbc.singular`)
 TASK.tank          the energy left in the tank of a task that has one [J]
 TASK.done          1 when the reference, and what led into it, have come to rest for good
 
@@ -15,6 +16,7 @@ velocities, so noise of theirs is in it.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import pinocchio as pin
@@ -25,6 +27,7 @@ from .pair import seen
 from .phase import stored
 from .qp import Array
 from .robot import State
+from .singular import smallest, threshold
 from .task import ForceTask, MotionTask
 from .transition import Reading
 
@@ -87,9 +90,21 @@ def done(task: MotionTask) -> Reading:
 
     def read(state: State) -> float:
         start = state.starts.get(task)
-        return float(state.since(task) >= (ends if start is None else max(ends, start.fade)))
+        return float(state.since(task) >= (ends if start is None else max(ends, start.settles)))
 
     return read
+
+
+def singular(task: MotionTask, start: State, contacts: Mapping[str, Contact]) -> Reading:
+    """The smallest singular value of what the task asks for, in what the contacts leave; `start`: a state to begin."""
+
+    def hold(state: State) -> None:
+        for name, contact in contacts.items():
+            state.contacts[name] = contact.hold(state)
+
+    hold(start)
+    rank = threshold(task, start, hold).rank
+    return lambda state: smallest(task, state, rank)
 
 
 def ending(task: MotionTask) -> float:

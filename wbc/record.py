@@ -24,6 +24,7 @@ from .qp import Array
 from .relative import GazeTask
 from .robot import State, Terms
 from .sim import Simulator
+from .singular import smallest
 from .stance import Standing
 from .task import ForceTask, MotionTask
 from .touch import Touch
@@ -60,6 +61,7 @@ class Recorder:
         state = controller.state if self._terms is None else _true_state(controller, simulator, self._terms)
         row = self._of_tick(t, out, took)
         _of_tasks(row, controller.phase, state)
+        _of_values(row, controller, state)
         self._of_contacts(row, state, out)
         self._of_touches(row)
         if self._apart:
@@ -125,7 +127,7 @@ def _true_state(controller: Controller, simulator: Simulator, terms: Terms) -> S
     known = controller.state
     state = State(terms, *simulator.true_state, known.t, known.dt)
     state.starts, state.targets, state.measured = known.starts, known.targets, known.measured
-    state.grounds = known.grounds
+    state.grounds, state.limited = known.grounds, known.limited
     hold(state, controller.phase)
     return state
 
@@ -145,6 +147,15 @@ def _of_tasks(row: Row, phase: Phase, state: State) -> None:
             row[f"{name}.angle"] = task.angle(state)
         elif isinstance(task, MomentumTask):
             row[f"{name}.lacking"] = task.error(state)
+
+
+def _of_values(row: Row, controller: Controller, state: State) -> None:
+    """Singular values of motions; not numbers where nothing was solved."""
+    program = None if controller.tick is None else controller.tick.program
+    for name, task in controller.phase.tasks.items():
+        if isinstance(task, MotionTask):
+            known = None if program is None else program.thresholds.get(name)
+            row[f"{name}.singular"] = math.nan if known is None else smallest(task, state, known.rank)
 
 
 def _of_pushes(row: Row, controller: Controller, simulator: Simulator) -> None:

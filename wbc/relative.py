@@ -19,7 +19,8 @@ from .pair import seen
 from .qp import Array, Rows
 from .reference import Reference
 from .robot import State
-from .task import MotionTask
+from .singular import LEAST
+from .task import SPEEDS, MotionTask
 from .wrench import VELOCITY_AXES
 
 NEAREST = 0.01  # [m] from which on a gaze no longer turns faster as its target comes nearer
@@ -42,8 +43,10 @@ class RelativeTask(MotionTask):
         kd: Any = 20.0,
         axes: tuple[str, ...] = VELOCITY_AXES,
         error: str = "log",
+        singular: float = LEAST,
+        jump: tuple[float, float] | None = SPEEDS,
     ) -> None:
-        super().__init__(frame, reference, kp, kd, axes, error=error)
+        super().__init__(frame, reference, kp, kd, axes, error=error, singular=singular, jump=jump)
         self.to = to
 
     def seen(self, state: State) -> Frame:

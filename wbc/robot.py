@@ -87,8 +87,9 @@ class State:
     measured (6,), the targets set from outside, the force loops' memory, and what tasks feel of a push; `primary` is
     (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of them;
     `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did; `grounds`:
-    contact -> how far above its plane a foot has found the floor [m]. Valid until the next state is computed from the
-    same `terms`.
+    contact -> how far above its plane a foot has found the floor [m]; `limited`: contact -> what is followed of a
+    target that has jumped, (k,); `gave`: what of a task gives way at this tick -> why. Valid until the next state is
+    computed from the same `terms`.
     """
 
     __slots__ = (
@@ -99,8 +100,10 @@ class State:
         "count",
         "dt",
         "felt",
+        "gave",
         "grounds",
         "h",
+        "limited",
         "loops",
         "measured",
         "primary",
@@ -129,6 +132,8 @@ class State:
         self.primary: tuple[Array, Array, Array] = _NO_ROWS
         self.starts: Mapping[Any, Any] = _NO_STARTS
         self.grounds: Mapping[Any, float] = _NO_STARTS
+        self.limited: dict[str, Array] = {}
+        self.gave: dict[str, str] = {}
         self._L: Any = None
 
     def frame(self, name: str) -> Frame:

@@ -24,12 +24,15 @@ from .frame import Frame
 from .qp import Array, Rows
 from .reference import Reference, Sample
 from .robot import State
+from .singular import LEAST
 from .tank import Bounded, Tank, pressed
 from .transition import LOST_SHARE
 from .wrench import VELOCITY_AXES
 
 _ORDER = np.array([3, 4, 5, 0, 1, 2])
 _NOTHING: Array = np.zeros(0)
+SPEEDS = (0.1, 0.5)  # [m/s], [rad/s] at which a reference that jumps is led in
+RATE = 500.0  # [N/s] at which the target of a force is followed
 
 
 class Task(Protocol):
@@ -66,6 +69,8 @@ class MotionTask:
     matrices; `axes`: names from wx ... vz, or with `contact` the free motion of that contact. `law="book"` tracks the
     raw y on all axes that the robot has, in the metric M_C, as the book prints it; otherwise y is only asked of the
     free axes, where the constraint says A y = -Adot V. `error`: "log", or "split" for straight lines (`pose_errors`).
+    `singular`: the singular value below which the task is damped (`wbc.singular`), 0 for none; `jump`: how fast a
+    reference that jumps is led in (`wbc.jump`), [m/s] and [rad/s], None: followed as it is.
     """
 
     def __init__(
@@ -79,8 +84,11 @@ class MotionTask:
         law: str = "compensated",
         robot_axes: tuple[int, ...] = (0, 1, 2, 3, 4, 5),
         error: str = "log",
+        singular: float = LEAST,
+        jump: tuple[float, float] | None = SPEEDS,
     ) -> None:
         self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
+        self.singular, self.jump = singular, jump
         self.split = error == "split"
         self.raw = law == "book" and contact is not None  # tracks the raw y of the book on all axes
         self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
@@ -118,6 +126,8 @@ class MotionTask:
             sample = self.reference(state.t) if start is None else start.sample(self.reference, state.t)
             self._told = (state, start, sample)
         return self._told[2]
+
+    followed = desired
 
     def along(self, state: State) -> Array:
         """(s,) X_e, with [X_e] = log(T^-1 T_d), along the rows that pick the task's axes [rad, m]."""
@@ -204,11 +214,12 @@ class ForceTask:
     Parameters: `contact` and its object; `target`: lambda_d (k,) [N, N m], or with `wrench` the
     wrench F_d (6,) in the frame's axes, lambda_d = (A')^+ F_d; an array, or t -> array; `kp`, `ki` [1/s], `damping`
     [N s/m, N m s/rad] over the contact's axes; `filter`: cutoff of the measured wrench [Hz] or None; `integral_limit`
-    on Ki int e [N, N m]; `tank`: what bounds the energy that it brings in. The error is that of the constrained axes
-    alone, e = lambda_d - (A')^+ F, less what limits took from the command, which is no error; and what is waited for is
-    none: without a tenth of the desired force along it the integral only goes back to zero (anti-windup; both exactly
-    nothing while no limit is active and the contact holds). `law="book"` projects the whole measured F_e by I - P, and
-    leaves the bias Lam Adot V in the force.
+    on Ki int e [N, N m]; `rate` at which the target is followed: over the axes, or a number [N/s] of forces, of which a
+    tenth [N m/s] is that of moments; `tank`: what bounds the energy that it brings in. The error is that of the
+    constrained axes alone, e = lambda_d - (A')^+ F, less what limits took from the command, which is no error; and what
+    is waited for is none: without a tenth of the desired force along it the integral only goes back to zero
+    (anti-windup; both exactly nothing while no limit is active and the contact holds). `law="book"` projects the whole
+    measured F_e by I - P, and leaves the bias Lam Adot V in the force.
     """
 
     def __init__(
@@ -223,6 +234,7 @@ class ForceTask:
         integral_limit: float = math.inf,
         law: str = "compensated",
         wrench: bool = False,
+        rate: Any = RATE,
         tank: Bounded | None = None,
     ) -> None:
         self.tank = tank
@@ -236,6 +248,7 @@ class ForceTask:
         self.filter, self.integral_limit = filter, integral_limit
         self._smoothed = (-1.0, 1.0)  # the last dt and its alpha
         self.axes = held_by.axes
+        self.rate = _rates(held_by.axes, rate)
 
     def _gain(self, K: Any, k: int, name: str) -> Array:
         if not self._book:
@@ -255,7 +268,9 @@ class ForceTask:
         return self._smoothed[1]
 
     def desired(self, state: State) -> Array:
-        """(k,) lambda_d, with what `targets` overrides."""
+        """(k,) lambda_d, with what `targets` overrides; where that has jumped, what is followed of it."""
+        if (limited := state.limited.get(self.contact)) is not None:
+            return limited
         lam = self.target(state.since(self))
         if self.wrench:
             lam = state.contacts[self.contact].inverse.dot(lam)
@@ -358,6 +373,14 @@ class ForceTask:
             integral = np.clip(integral, -bound, bound)
         tank = None if loop.tank is None else pressed(loop.tank, lam)
         return ForceLoop(loop.filtered, integral, loop.yielded, None if nothing else last, tank=tank)
+
+
+def _rates(axes: tuple[str, ...], rate: Any) -> Array:
+    """(k,) over the axes of a contact."""
+    given = np.array(rate, float) if np.ndim(rate) else np.array([0.1 * rate if a[0] == "m" else rate for a in axes])
+    if given.shape != (len(axes),) or not (given > 0.0).all():
+        raise GainError(f"rate: expected a number above 0, or {len(axes)} of them ({', '.join(axes)}), got {rate}")
+    return given
 
 
 def _always(value: Array) -> Callable[[float], Array]:

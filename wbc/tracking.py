@@ -23,7 +23,7 @@ from .reference import Reference, Scalar, constant
 from .relative import GazeTask, RelativeTask
 from .robot import Robot
 from .tank import Bounded
-from .task import ForceTask, MotionTask, PostureTask, Task
+from .task import RATE, ForceTask, MotionTask, PostureTask, Task
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 Axes = tuple[str, ...]
@@ -53,8 +53,9 @@ class Tracking:
                 elif isinstance(entry, specs.ComTask):
                     kp, kd = (self._gain(entry, name, key, ("x", "y", "z")) for key in ("kp", "kd"))
                     tasks[name] = ComTask(
-                        self.geometry.com_path(name, entry, self.contacts, q), kp, kd, self.geometry.over(entry)
-                    )
+                        self.geometry.com_path(name, entry, self.contacts, q), kp, kd, self.geometry.over(entry),
+                        *_follows(entry),
+                    )  # fmt: skip
                 elif isinstance(entry, specs.RelativeTask):
                     tasks[name] = self._relative(name, entry)
                 elif isinstance(entry, specs.GazeTask):
@@ -102,7 +103,7 @@ class Tracking:
         able = relative_axes(self.geometry.robot, entry.frame, entry.to)
         axes = able if entry.axes == "all" else entry.axes
         kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
-        return RelativeTask(entry.frame, entry.to, self.references[name], kp, kd, axes, entry.error)
+        return RelativeTask(entry.frame, entry.to, self.references[name], kp, kd, axes, entry.error, *_follows(entry))
 
     def _momentum(self, name: str, entry: specs.MomentumTask) -> MomentumTask:
         axes = MOMENTUM_AXES if entry.axes == "all" else entry.axes
@@ -113,7 +114,9 @@ class Tracking:
         kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
         against = None if entry.contact is None else self.contacts[entry.contact].against
         law, able = self.geometry.spec.law, movable(self.geometry.robot, frame, against)
-        task = MotionTask(frame, self.references[name], kp, kd, axes, entry.contact, law, able, entry.error)
+        task = MotionTask(
+            frame, self.references[name], kp, kd, axes, entry.contact, law, able, entry.error, *_follows(entry)
+        )
         if entry.contact is not None and (pushes := self.contacts[entry.contact].pushes) is not None:
             pushes.guide = task.desired
         return task
@@ -135,21 +138,10 @@ class Tracking:
             assert cutoff is not None
             observer, cutoff = MomentumObserver(self.geometry.robot, cutoff), None
         K_scale = None if entry.K_scale is None else self.geometry.profile(entry.K_scale)
-        varied = (K_scale, self._tank(entry.tank))
         place = (
-            frame,
-            self.references[name],
-            M,
-            B,
-            K,
-            axes,
-            entry.contact,
-            entry.error,
-            source,
-            cutoff,
-            observer,
-            *varied,
-        )
+            frame, self.references[name], M, B, K, axes, entry.contact, entry.error, source, cutoff, observer,
+            *_follows(entry), K_scale, self._tank(entry.tank),
+        )  # fmt: skip
         if isinstance(entry, specs.ImpedanceTask):
             return ImpedanceTask(*place, compensate=entry.compensate)
         kp, kd = (self._gain(entry, name, key, axes) for key in ("kp", "kd"))
@@ -164,9 +156,11 @@ class Tracking:
             return None
         kp, ki, damping = (self._gain(entry, name, key, contact.axes) for key in ("kp", "ki", "damping"))
         limit = math.inf if entry.integral_limit is None else entry.integral_limit
+        rate = self._gain(entry, name, "rate", contact.axes)
+        rate = rate if np.any(rate) else RATE  # which is at fault
         wrench = not isinstance(contact, AxesContact | SphereContact)  # their multipliers have names
         law, tank = self.geometry.spec.law, self._tank(entry.tank)
-        return ForceTask(entry.contact, contact, target, kp, ki, damping, entry.filter, limit, law, wrench, tank)
+        return ForceTask(entry.contact, contact, target, kp, ki, damping, entry.filter, limit, law, wrench, rate, tank)
 
     def _tank(self, entry: specs.Tank | float | None) -> Bounded | None:
         if not isinstance(entry, specs.Tank):
@@ -195,6 +189,11 @@ class Tracking:
             held = [scalars.get(i, constant(0.0)) for i in range(6)]
         target = _stacked(held)
         return target if any(isinstance(value, str) for value in given.values()) else target(0.0)
+
+
+def _follows(entry: specs.Following) -> tuple[float, tuple[float, float]]:
+    """What a task does near a singularity, and where its reference jumps."""
+    return entry.singular, (entry.jump.speed, entry.jump.turn)
 
 
 def joint_values(robot: Robot, values: Mapping[str, float], base: Array) -> Array:

@@ -335,4 +335,4 @@ def _unlimited(phase: Phase) -> Phase:
     free = np.full(n, np.inf)
     contacts = {name: contact.without_cone() for name, contact in phase.contacts.items()}
     torque = TorqueLimit(-free, free, free, phase.torque.joints)
-    return replace(phase, contacts=contacts, torque=torque, joint=None, collision=None, exit=None)
+    return replace(phase, contacts=contacts, torque=torque, joint=None, collision=None, exit=None, damped=False)

@@ -123,7 +123,7 @@ class WholeBodyProgram(Program):
     def costs(self, state: State) -> list[Cost]:
         weights, levels = self.phase.weights, self.levels
         G, rhs = self._G, self._rhs
-        wanted = [(name, self._wanted(task, state)) for name, task in self._tasks.items()]
+        wanted = [(name, self._wanted(name, task, state)) for name, task in self._tasks.items()]
         stack = np.concatenate([G, *(A for _, rows in wanted if (A := rows.A.get("vdot")) is not None)])
         lifted, K = np.empty((stack.shape[1], len(stack) if self.posture else 0)), np.empty(2 * stack.shape[:1])
         kernels.mobility(state.M, stack, lifted, K)
@@ -151,13 +151,18 @@ class WholeBodyProgram(Program):
             costs += [(_nothing(state, name), 1.0, LAST) for name in self._sharers if name not in standing]
         return costs
 
-    @staticmethod
-    def _wanted(task: Task, state: State) -> Rows:
+    def _wanted(self, name: str, task: Task, state: State) -> Rows:
         """The task's own rows; a motion's without those of the contacts, which all tasks have in common."""
-        if not isinstance(task, MotionTask):
-            return task.rows(state)
-        G, b = task.target(state)
-        return Rows("", {"vdot": G}, b, b)
+        if isinstance(task, MotionTask):
+            G, b = task.target(state)
+            b = self._eased(state, name, G, b, whole=False)
+            return Rows("", {"vdot": G}, b, b)
+        rows = task.rows(state)
+        b = self._eased(state, name, rows.A.get("vdot"), rows.lo, whole=False)
+        return rows if b is rows.lo else rows._replace(lo=b, hi=b)
+
+    def _held(self, state: State) -> tuple[Array, Array]:
+        return self._G, self._rhs
 
     def rest(self, state: State) -> Array:
         """(nu,) the torque with which the contacts carry the weight, shared as the phase shares it [N m]."""

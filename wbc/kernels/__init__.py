@@ -6,10 +6,12 @@ Plain loops over small dense arrays; the theory is told where they are called. S
 from .algebra import gauss, inverse, minimum, mobility, within
 from .contact import carried, demand, demands, edge, height, rolling, select, settle, share, wanted
 from .force import advance, feedback, sense, spring
+from .jump import approach, jumped
 from .limit import braking_bounds, torque_window
 from .motion import carried_along, computed_torque, frames, log, point_target, pose_errors, relative, shift
 from .null_space import least_squares, root
 from .program import active, add_rows, add_square, equations, residuals, torque, total
+from .singular import singular
 from .touch import angle, slip, touch
 
 __all__ = [
@@ -18,6 +20,7 @@ __all__ = [
     "add_square",
     "advance",
     "angle",
+    "approach",
     "braking_bounds",
     "carried",
     "carried_along",
@@ -31,6 +34,7 @@ __all__ = [
     "gauss",
     "height",
     "inverse",
+    "jumped",
     "least_squares",
     "log",
     "minimum",
@@ -46,6 +50,7 @@ __all__ = [
     "settle",
     "share",
     "shift",
+    "singular",
     "slip",
     "spring",
     "torque",

@@ -21,6 +21,7 @@ from .task import (
     AdmittanceTask,
     ComTask,
     DistributionTask,
+    Following,
     ForceTask,
     GazeTask,
     ImpedanceTask,
@@ -57,6 +58,16 @@ __all__ += [
     "Task",
     "Unilateral",
 ]
-__all__ += ["ComTask", "DistributionTask", "GazeTask", "MomentumTask", "Over", "RelativeTask", "Tank", "TorqueTask"]
+__all__ += [
+    "ComTask",
+    "DistributionTask",
+    "Following",
+    "GazeTask",
+    "MomentumTask",
+    "Over",
+    "RelativeTask",
+    "Tank",
+    "TorqueTask",
+]
 __all__ += ["AdmittanceTask", "Bias", "ImpedanceTask", "Move", "Push", "Sine", "Wave"]
 __all__ += ["Bound", "Expect", "Limits", "Margin", "Noise", "Phase", "Plant", "Scale", "Until", "Within"]

@@ -279,12 +279,13 @@ def _unmeasured(
     motions = [name for name, task in spec.tasks.items() if isinstance(task, MotionTask | RelativeTask)]
     known = [f"{name}.{each}" for name in spec.contacts for each in (*WRENCH_AXES, "distance")]
     known += [f"{name}.slip" for name in contacts]
-    known += [f"{name}.{each}" for name in motions if name in tasks for each in ("done", "error", "speed")]
+    of_motion = ("done", "error", "singular", "speed")
+    known += [f"{name}.{each}" for name in motions if name in tasks for each in of_motion]
     bounded = [name for name, task in spec.tasks.items() if getattr(task, "tank", None) is not None]
     known += [f"{name}.tank" for name in bounded if name in tasks]
     if quantity in known or any((section, subject) in left_out for section in ("contacts", "tasks")):
         return None
-    elsewhere = (subject in motions and what in ("done", "error", "speed")) or (subject in bounded and what == "tank")
+    elsewhere = (subject in motions and what in of_motion) or (subject in bounded and what == "tank")
     if elsewhere and subject not in tasks:
         return f"task {subject!r} is not active in this phase; expected one of its own"
     if subject in spec.contacts and subject not in contacts and what == "slip":

@@ -230,6 +230,10 @@ Gain = Annotated[
     | Annotated[tuple[tuple[Number, ...], ...], AfterValidator(_positive_definite), Tag("<matrix>")],
     either("a number, a list of numbers or a matrix"),
 ]
+Rates = Annotated[
+    Annotated[Positive, Tag("<number>")] | Annotated[tuple[Positive, ...], Field(min_length=1), Tag("<list>")],
+    either("a number or a list of numbers"),
+]
 Target = Annotated[ANumber | AName, either("a number or the name of a reference")]
 JointValues = Annotated[dict[Text, Number], Field(min_length=1), Tag("<map>")]
 Pose = Annotated[AName | JointValues, either("the name of a keyframe or a mapping from joints to angles")]

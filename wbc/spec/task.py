@@ -17,6 +17,7 @@ from .fields import (
     NonNegative,
     Pose,
     Positive,
+    Rates,
     Target,
     Text,
     Vec3,
@@ -32,6 +33,22 @@ class Placed(Model):
     """Where a task stands among the others."""
 
     level: int = Field(default=1, ge=1, le=20, strict=True, description="priority: 1 comes first, see `hierarchy`")
+
+
+class Jump(Model):
+    """How fast a reference that jumps is led in."""
+
+    speed: Positive = Field(default=0.1, description="of the origin [m/s]")
+    turn: Positive = Field(default=0.5, description="about its axis [rad/s]")
+
+
+class Following(Placed):
+    """A task that follows a reference."""
+
+    singular: NonNegative = Field(
+        default=0.03, description="smallest singular value of its rows below which it is damped; 0: never"
+    )
+    jump: Jump = Field(default=Jump(), description="how fast a reference that jumps is led in")
 
 
 class Tank(Model):
@@ -68,6 +85,11 @@ class ForceTask(Placed):
     ki: Gain = Field(default=0.0, description="integral gain [1/s]")
     damping: Gain = Field(default=0.0, description="damping along the constrained axes [N m s/rad, N s/m]")
     filter: Positive | None = Field(default=None, description="cut-off of the low-pass on the measured wrench [Hz]")
+    rate: Rates = Field(
+        default=500.0,
+        description="bound on how fast the target is followed; a number holds for forces [N/s], and a "
+        "tenth of it for moments [N m/s]",
+    )
     integral_limit: NonNegative | None = Field(
         default=None, description="bound of ki times the integral, each axis [N m, N]"
     )
@@ -77,7 +99,7 @@ class ForceTask(Placed):
     )
 
 
-class MotionTask(Placed):
+class MotionTask(Following):
     """Track a motion: along the free axes of a contact, or of a frame."""
 
     type: Literal["motion"] = Field(description="motion")
@@ -98,7 +120,7 @@ class MotionTask(Placed):
                 yield (key,), "is missing; expected a `contact`, or a `frame` and a `target`"
 
 
-class _Compliance(Placed):
+class _Compliance(Following):
     """A mass, spring and damper between a frame and its reference: M xdd_e + B xd_e + K x_e = f_ext."""
 
     contact: Text | None = Field(default=None, description="the contact along whose free axes it is felt")
@@ -224,7 +246,7 @@ class Over(Model):
             yield ("over",), "expected a share above 0, got none"
 
 
-class ComTask(Placed):
+class ComTask(Following):
     """Hold or move the centre of mass."""
 
     type: Literal["com"] = Field(description="com")
@@ -242,7 +264,7 @@ class ComTask(Placed):
         return self.target if isinstance(self.target, str) and self.target != "start" else None
 
 
-class RelativeTask(Placed):
+class RelativeTask(Following):
     """Track the pose of one frame seen from another, both moved by the robot."""
 
     type: Literal["relative"] = Field(description="relative")
