@@ -27,8 +27,9 @@ from wbc.tape import CODEC
 pytestmark = pytest.mark.row(15)
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
+pytestmark = pytest.mark.row(15)
 SEEDS = [int(os.environ["WBC_SEED"])] if "WBC_SEED" in os.environ else range(1000)
-DT, TICKS, LATE = 1e-3, 400, 20
+DT, TICKS, LATE = 1e-3, 400 if LARGE else 250, 20
 
 
 class Story:
@@ -157,9 +158,9 @@ def test_never_below_zero_nor_more_than_there_is(model, record_property):
         limited += story.limited > 0
         if not (story.low >= bars.TANK and story.promised <= 1e-9):
             wrong.append(f"WBC_SEED={seed} pytest tests/test_tank.py -k {model}  # {story.low:g}, {story.promised:g} J")
-    record_property("lowest [J]", lowest)
-    record_property("promised beyond the truth [J]", promised)
-    record_property("seeds in which it bounds something", limited)
+    record_property(f"{model}: below zero by [J]", -lowest)
+    record_property(f"{model}: promised beyond the truth [J]", promised)
+    record_property(f"{model}: seeds that it bounds", f"{limited} of {len(share)}")
     assert not wrong, "\n".join(wrong[:20])
 
 
@@ -287,8 +288,8 @@ def test_the_controllers_tank_is_never_below_zero(tmp_path, kind, record_propert
             wrong.append(
                 f"WBC_SEED={seed} pytest tests/test_tank.py -k 'controllers and {kind}'  # {low:g}, {true:g} J"
             )
-    record_property("lowest [J]", lowest)
-    record_property("truly left, least [J]", left)
+    record_property(f"{kind} in MuJoCo: below zero by [J]", -lowest)
+    record_property(f"{kind} in MuJoCo: truly overdrawn by [J]", -left)
     assert not wrong, "\n".join(wrong)
 
 
@@ -339,7 +340,7 @@ def test_a_force_into_the_air_takes_no_more_than_the_tank_has(tmp_path, record_p
 
         result = run(built, hook=watch)
         fastest[tank] = max(energies)
-    record_property("energy of the motion over that of the tank", fastest[tank] / 0.02)
+    record_property("energy of a motion over that of the tank", fastest[tank] / 0.02)
     assert np.nanmin(result.log["press.tank"]) >= 0.0
     assert result.summary["metrics"]["press.tank.min"] >= 0.0
     assert any("press.tank" in active for active in result.log.active)

@@ -23,6 +23,7 @@ from wbc.wrench import Wrench
 pytestmark = pytest.mark.row(14)
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
+pytestmark = pytest.mark.row(14)
 SEEDS = [int(os.environ["WBC_SEED"])] if "WBC_SEED" in os.environ else range(20 if LARGE else 2)
 MOST = bars.WIND_UP  # times the impact without a wait
 WAIT = 10.0  # [s]
@@ -142,7 +143,7 @@ def test_pressing_with_a_sensor_that_reads_nothing(tmp_path, record_property):
     peak = max(rig.step(deaf=True) for _ in range(500))
     record_property("peak over the command", peak / (most + before))
     assert peak <= 1.1 * (most + before)  # a step of the command, and what rings after it
-    assert rig.integral <= before + 1e-9
+    assert rig.integral <= before - 0.01 * rig.values["ki"] * rig.values["force"]  # 0.01 s: until its filter says so
     assert rig.impact(300) <= MOST * peak
 
 
