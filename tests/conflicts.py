@@ -2,7 +2,7 @@
 
 With either of the two as it was there is an answer (`violation` says so, on the rows that go to a solver), so both
 stand in every conflict that there is: these are the known culprits. A culprit is a name, or the beginning of one that
-ends in `.` or `[` (any axis of that contact), or `*` and its end (`*.friction`: of any foot).
+ends in `.` or `[` (any axis of that contact), or `*` and its ends (`*.friction|.yaw`: of any foot).
 """
 
 from __future__ import annotations
@@ -63,8 +63,9 @@ def violation(C, lo, hi, E=None, e=None):
     norm = np.maximum(np.linalg.norm(A, axis=1), 1e-12)
     m, n = A.shape
     G, none = np.zeros((m + 1, n + 1)), np.zeros((0, n + 1))
-    G[:m, :n], G[:, n] = A / norm[:, None], -1.0
-    equal = none if E is None else np.c_[E, np.zeros(len(E))]
+    far = 1.0 / np.maximum(np.abs(A).max(axis=0, initial=0.0), 1e-6)  # unknowns of like sizes: a wrist flies off fast
+    G[:m, :n], G[:, n] = A / norm[:, None] * far, -1.0
+    equal = none if E is None else np.c_[E * far, np.zeros(len(E))]
     program = Problem(np.zeros((n + 1, n + 1)), np.eye(n + 1)[n], G, np.r_[b / norm, 0.0])
     if len(equal):
         program.A, program.b = equal, e
@@ -84,14 +85,15 @@ def answered(*rows):
 
 def missed(controller):
     """By how much the hard rows of the last tick must give way."""
-    p = controller.tick.program.strict.problem
+    tick = controller.tick.refused or controller.tick  # with all contacts
+    p = tick.program.strict.problem
     return violation(np.concatenate((np.eye(p.g.size), p.C)), p.lo, p.hi)
 
 
 def matches(culprit, names):
     """Whether a conflict names a known culprit."""
     if culprit.startswith("*"):
-        return any(name.endswith(culprit[1:]) for name in names)
+        return any(name.endswith(tuple(culprit[1:].split("|"))) for name in names)
     if culprit.endswith((".", "[")):
         return any(name.startswith(culprit) for name in names)
     return culprit in names
@@ -245,7 +247,7 @@ def _slippery(scene, rng, what):
         limits = (low, high, rate, tau, scene.edge(q, v, j, demand) if first else None)
         return scene.make(q, v, limits, slick if second else rough)
 
-    return Draw(make, (f"position[{robot.joints[j]}]", "*.friction"), 0.5, 3.5)
+    return Draw(make, (f"position[{robot.joints[j]}]", "*.friction|.yaw"), 0.5, 3.5)
 
 
 def _clamped(scene, rng, what):

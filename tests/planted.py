@@ -64,8 +64,7 @@ BUGS = (
         "(self.low - 1e3, self.high + 1e3, self.rate", "limit"),
     # the answer
     bug("a refused x is read", STEP, "if not solution.accepted:\n            reason",
-        "if not solution.x.size:\n            reason",
-        "certificate"),
+        "if not solution.x.size:\n            reason", "certificate finite"),
     bug("the solver is taken at its word", "solver:_attempt",
         "if primal <= tolerance.primal and dual <= tolerance.dual and gap <= tolerance.gap:",
         "if x.shape == problem.g.shape:", "certificate finite raises swallowed"),

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Hashable
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 ROWS: dict[Hashable, tuple[str, str]] = {
@@ -57,6 +58,14 @@ class Rows:
             if unknown:
                 raise pytest.UsageError(f"{item.nodeid}: no row {unknown[0]!r}; expected one of {list(ROWS)}")
             item.user_properties += [("row", row) for row in dict.fromkeys(rows)]
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_makereport(self, item: Any) -> None:
+        """Numbers of numpy as those of Python: others do not travel between processes."""
+        told = [
+            (name, value.item() if isinstance(value, np.generic) else value) for name, value in item.user_properties
+        ]
+        item.user_properties[:] = told
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.when == "call" or (report.when == "setup" and report.outcome != "passed"):

@@ -86,16 +86,26 @@ def test_feedback_sense_advance_torque(rng, layout):
 
     F, past, inverse, desired = (rng.normal(size=s) for s in (6, 6, (2, 6), 2))
     filtered, error = np.empty(6), np.empty(2)
-    kernels.sense(*layout(F, past), 0.3, *layout(inverse, desired), filtered, error)
+    A, target = rng.normal(size=(2, 6)), rng.normal(size=2)
+    given = layout(F, past), layout(inverse, desired, A, target)
+    f_d = (A.T @ target)[3:]
+    share = (past + 0.3 * (F - past))[3:] @ f_d / (f_d @ f_d)
+    for least in (share - 1e-6, share + 1e-6):
+        assert kernels.sense(*given[0], 0.3, *given[1], least, filtered, error) == (least < share)
+    assert kernels.sense(*given[0], 0.3, *given[1][:3], np.zeros(2), 0.1, filtered, error)  # no force is wanted
     np.testing.assert_allclose(filtered, past + 0.3 * (F - past), rtol=1e-13, atol=1e-15)
     np.testing.assert_allclose(error, desired - inverse @ filtered, rtol=1e-12, atol=1e-14)
 
     lam, command, integral, step = (rng.normal(size=3) for _ in range(4))
     grown, missing = np.empty(3), np.empty(3)
-    assert not kernels.advance(*layout(lam, command, integral, step), 0.1, grown, missing)
+    assert not kernels.advance(*layout(lam, command, integral, step), 0.1, True, grown, missing)
     np.testing.assert_allclose(grown, integral + 0.1 * step)
     np.testing.assert_allclose(missing, lam - command)
-    assert kernels.advance(command * (1 + 1e-12), command, integral, step, 0.1, grown, missing)
+    assert kernels.advance(command * (1 + 1e-12), command, integral, step, 0.1, True, grown, missing)
+    waiting, goes = np.array([2.0, -2.0, -0.01, 0.0]), np.array([1.0, 1.0, 1.0, 1.0])
+    grown = np.empty(4)
+    kernels.advance(command, command, *layout(waiting, goes), 0.1, False, grown, missing)
+    np.testing.assert_allclose(grown, [2.0, -1.9, 0.0, 0.0])  # only towards zero, and no further
 
     A, x, h = rng.normal(size=(3, 4)), rng.normal(size=4), rng.normal(size=3)
     tau, value = np.empty(3), A @ x + h

@@ -148,20 +148,24 @@ def test_force_loop_by_hand(panda, draw, rng):
     task = ForceTask("board", CONTACT, target, Kp, Ki, K_damp, filter=30.0)
     readings = rng.normal(size=(6, 6))
     alpha = 1 - math.exp(-2 * math.pi * 30 * DT)
-    s, integral = readings[0], np.zeros(3)
+    s, integral, pressed = readings[0], np.zeros(3), 0
     for reading, (rows, loop, state) in zip(readings, ticks(panda, draw, task, readings), strict=True):
         s = s + alpha * (reading - s)
         A = CONTACT.A(state)
         e = target - A @ s  # the rows of A are orthonormal: (A')^+ = A
         command = target + Kp @ e + Ki @ integral - K_damp @ A @ state.frame("eraser").V
         np.testing.assert_allclose(rows.lo, command, atol=1e-12)
-        integral = integral + DT * e
+        f_d, grown = (A.T @ target)[3:], integral + DT * e
+        if s[3:] @ f_d < 0.1 * f_d @ f_d:  # nothing is pressed: towards zero, and no further
+            grown = np.where(e * integral > 0.0, integral, np.where(grown * integral > 0.0, grown, 0.0))
+        integral, pressed = grown, pressed + (s[3:] @ f_d >= 0.1 * f_d @ f_d)
         np.testing.assert_allclose(loop.integral, integral, atol=1e-14)
         np.testing.assert_allclose(loop.filtered, s, atol=1e-14)
         np.testing.assert_allclose(
             rows.metric, state.contacts["board"].G @ np.linalg.solve(state.M, state.contacts["board"].G.T), atol=1e-10
         )
         assert rows.A == {"board": None}
+    assert 0 < pressed < 6
 
 
 def test_force_error_is_in_multiplier_coordinates_of_any_contact(panda, draw, rng):
@@ -215,6 +219,7 @@ def test_what_limits_take_is_no_error(panda, draw, rng):
     target, K = rng.normal(size=3), positive(rng, 3)
     task = ForceTask("board", CONTACT, target, K, 10 * K, filter=30.0)
     readings, taken = rng.normal(size=(6, 6)), rng.normal(size=3)
+    readings += 9.0 * CONTACT.A(None).T @ target  # it presses all the time
     alpha = 1 - math.exp(-2 * math.pi * 30 * DT)
     s, integral, y = readings[0], np.zeros(3), np.zeros(3)
     found = ticks(panda, draw, task, readings, lambda command: command + taken)
@@ -245,7 +250,7 @@ def test_a_force_held_back_by_a_limit_does_not_wind_up(panda, draw):
 
 def test_the_integral_is_bounded_by_what_it_may_push(panda, draw):
     task = ForceTask("board", CONTACT, np.array([0.0, 0.0, -10.0]), ki=[5.0, 5.0, 20.0], integral_limit=0.3)
-    *_, (rows, loop, _) = ticks(panda, draw, task, [np.zeros(6)] * 20)
+    *_, (rows, loop, _) = ticks(panda, draw, task, [CONTACT.A(None).T @ [0, 0, -4.0]] * 20)
     np.testing.assert_allclose(loop.integral, [0, 0, -0.3 / 20], atol=1e-14)
     assert rows.lo[2] == pytest.approx(-10.3)
 

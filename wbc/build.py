@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -157,6 +158,9 @@ def _check_followed(geometry: Geometry) -> list[str]:
         for value in contact.wrench_targets.values():
             if isinstance(value, str):
                 geometry.followed.setdefault(value, set()).add(3)
+    for task in spec.tasks.values():
+        if isinstance(task, specs.ImpedanceTask | specs.AdmittanceTask) and task.K_scale is not None:
+            geometry.followed.setdefault(task.K_scale, set()).add(3)
     overridden = any(spec.fault(target, "").file != spec.file for target in targets)
     for name, reference in spec.references.items():
         idle = set(components(reference)) - geometry.followed.get(name, set())
@@ -249,7 +253,7 @@ def _masses(
     for name, task in tasks.items():
         if not isinstance(task, Compliance):
             continue
-        found = mass_range(name, task, state, 1.0 / spec.rate, spec.plant.delay)
+        found = mass_range(name, _stiffest(spec, name, task), state, 1.0 / spec.rate, spec.plant.delay)
         masses.append(found)
         if not found.stable:
             geometry.faults.add(("tasks", name, "M"), _unrendered(found))
@@ -259,6 +263,18 @@ def _masses(
                 told = f"the arm cannot follow so stiffly at this rate: the largest pole has modulus {pole:.4f}"
                 geometry.faults.add(("tasks", name, "kd"), f"{told}, expected below 1; lower kp or kd")
     return masses
+
+
+def _stiffest(spec: specs.Spec, name: str, task: Compliance) -> Compliance:
+    """A task with the largest stiffness that it is to have."""
+    scale = getattr(spec.tasks[name], "K_scale", None)
+    if scale is None:
+        return task
+    profile = spec.references[scale].profile
+    assert profile is not None
+    task = copy(task)
+    task.K = max(profile.values) * task.K
+    return task
 
 
 def _unrendered(found: MassRange) -> str:

@@ -22,7 +22,7 @@ from .jump import kept, lead_in
 from .kernels import torque
 from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status
 from .memory import NEW_WATCH, NOTHING, Memory, Output
-from .phase import Phase, Program, carry, carry_felt, hold, place, settle_posture
+from .phase import Phase, Program, carry, carry_felt, hold, place, recall, settle_posture
 from .qp import Array, Workspace
 from .robot import Robot, State, Terms
 from .solver import DEFAULT, Solution, Solver, make
@@ -256,6 +256,8 @@ class Controller:
                 tau_last = program.phase.torque.inside(tau_last)
         change = None
         if program.phase.exit is not None:
+            if program.phase.tanks:
+                recall(state, program.phase, memory.loops, memory.felt)
             watch, change = program.phase.exit.step(memory.watch, t - memory.phase_start, state)
             memory = memory._replace(watch=watch)
         if change is None:
@@ -368,7 +370,7 @@ class Controller:
             if name in force:
                 loops[name] = force[name][1].advance(state, lam[name])
         found = workspace.active(solution.z)
-        names = found or program.pushing or state.gave
+        names = found or program.pushing or state.gave or program.phase.tanks
         active = program.names(solution.z, found, state, tau_last, self.dt) if names else ()
         if dropped:  # they are told of as before, but carry nothing
             active = (*(f"{name}.dropped" for name in dropped), *active)

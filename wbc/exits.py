@@ -12,6 +12,7 @@ from . import spec as specs
 from .contact import Contact
 from .faults import Place
 from .geometry import Geometry
+from .impedance import Compliance
 from .qp import Array
 from .task import ForceTask, MotionTask, Task
 from .transition import STOP, Condition, Exit, Reading
@@ -64,6 +65,8 @@ def _reading(
             base.faults.add(path, _no_slip(subject, contacts[subject]))
         return read
     task = tasks.get(subject)
+    if what == "tank" and isinstance(task, ForceTask | Compliance):
+        return quantities.tank(task)
     if not isinstance(task, MotionTask):
         return None  # at fault already
     if what == "done" and quantities.ending(task) == math.inf:

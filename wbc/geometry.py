@@ -148,6 +148,10 @@ class Geometry:
             return constant(0.0)
         return self._component(value, self.spec.references[value], 3, ("contacts", contact, "artificial", axis))
 
+    def profile(self, name: str) -> Scalar:
+        """A number over time."""
+        return components(self.spec.references[name])[3]
+
     def com_path(self, name: str, entry: specs.ComTask, contacts: Mapping[str, Contact], q: Array) -> Reference:
         """Where a task wants the centre of mass."""
         state = self.robot.state(q, np.zeros(self.robot.nv))

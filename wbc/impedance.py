@@ -8,7 +8,8 @@ acceleration, with F counted among the known loads, so that the answer of the ar
     xdd = xdd_d + Lam^-1 (B xd_e + K x_e),     Lam^-1 = S J M(q)^-1 J' S', within the contacts,
 
 and the arm's own Lam is felt; f_ext need not be known. An admittance moves a reference by the first equation, and the
-arm follows it. Along the other axes other tasks decide.
+arm follows it. Along the other axes other tasks decide. K may change over time (`K_scale`); then, and where answers
+come late, a tank bounds the energy that this brings in (`tank`), with K and f_ext as it lets them pass.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ from .dynamics import inertia, mobility, unheld
 from .errors import GainError
 from .observer import MomentumObserver, Observed, smoothing
 from .qp import Array, Rows
-from .reference import Reference, Sample
+from .reference import Reference, Sample, Scalar
 from .robot import State
 from .singular import LEAST
+from .tank import Bounded, Tank
 from .task import SPEEDS, pose_errors
 from .wrench import VELOCITY_AXES
 
@@ -41,6 +43,7 @@ class Felt(NamedTuple):
     observed: Observed | None = None
     T: Array | None = None  # (4, 4) pose of the mass that an admittance moves
     motion: Array | None = None  # (6, 2) its twist and acceleration
+    tank: Tank | None = None
 
 
 NEW = Felt()
@@ -52,10 +55,11 @@ class Compliance:
     Parameters: `frame`; `reference` (t -> Sample); `M`, `B`, `K`: numbers, vectors over the axes, or matrices, all zero
     or positive definite; `axes` from wx ... vz, or with `contact` the names of its free motions; `error`: "log" or
     "split"; `source`: "measured", "observer" (a MomentumObserver stands in `observer`), "acceleration", or "none";
-    `filter` [Hz] of the measured wrench.
+    `filter` [Hz] of the measured wrench; `K_scale`: by what K is multiplied at a time [1], `tank`.
     """
 
     carries = True  # whether the push counts among the known loads
+    lag = 0.0  # [s] with which the arm follows the mass, where that is not the arm itself
 
     def __init__(
         self,
@@ -72,8 +76,10 @@ class Compliance:
         observer: MomentumObserver | None = None,
         singular: float = LEAST,
         jump: tuple[float, float] | None = SPEEDS,
+        K_scale: Scalar | None = None,
+        tank: Bounded | None = None,
     ) -> None:
-        self.singular, self.jump = singular, jump
+        self.singular, self.jump, self.K_scale, self.tank = singular, jump, K_scale, tank
         self._told: tuple[State, Any, Sample] | None = None
         self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
         self.split, self.source, self.filter, self.observer = error == "split", source, filter, observer
@@ -124,6 +130,34 @@ class Compliance:
             return np.zeros(S.shape[0])
         return -self.lift(state).T.dot(F)
 
+    def wanted(self, state: State) -> Array:
+        """(s, s) the stiffness of this tick, as long as no tank has to pay for it."""
+        if self.K_scale is None:
+            return self.K
+        return self.K_scale(state.since(self))[0] * self.K
+
+    def passes(self, state: State) -> tuple[Array, float, float]:
+        """(s, s) the stiffness that acts, what share of the push is answered, and how the motion is braked [1/s]."""
+        tank = state.felt.get(self, NEW).tank
+        return (self.wanted(state), 1.0, 0.0) if tank is None else (tank.K, tank.valve, tank.brake)
+
+    def fill(self, state: State, felt: Felt, last: Felt, T: pin.SE3, V: Array, late: bool) -> Felt:
+        """The tank at a tick, of a mass at T that moves with V (6,)."""
+        if self.tank is None:
+            return felt
+        state.felt[self] = felt
+        S, frame, desired = self.selection(state), state.frame(self.frame), self.desired(state)
+        X_e, V_e, _ = self.errors(T, V, desired)
+        rate = S.dot(V_e) if late else S.dot(self.errors(frame.T, frame.V, desired)[1])
+        known = self.source in ("measured", "observer") and not self.massless and felt.F is not None
+        tank = self.tank.comply(
+            last.tank, S.dot(X_e), S.dot(V_e), self.wanted(state), self.B,
+            inertia(self.mobility(state)) if self.massless else self.M, self.push(state) if known else None,
+            -state.dt * rate, state.dt, late, self.lag,
+        )  # fmt: skip
+        state.felt[self] = felt = felt._replace(tank=tank)
+        return felt
+
     def feel(self, state: State, measured: Array | None, tau: Array, last: Felt) -> Felt:
         """The push of this tick; `measured` (6,) at the frame, `tau` what acted since the last tick."""
         F, V, Vdot, observed = last.F, state.frame(self.frame).V.copy(), None, None
@@ -159,14 +193,21 @@ class ImpedanceTask(Compliance):
         self.gravity_only = compensate == "gravity"
         self.carries = self.source in ("measured", "observer")
 
+    def feel(self, state: State, measured: Array | None, tau: Array, last: Felt) -> Felt:
+        frame = state.frame(self.frame)
+        return self.fill(state, super().feel(state, measured, tau, last), last, frame.T, frame.V, late=True)
+
     def acceleration(self, state: State) -> Array:
         frame, S = state.frame(self.frame), self.selection(state)
         X_e, V_e, ahead = self.errors(frame.T, frame.V, self.desired(state))
-        ahead, spring = S.dot(ahead), self.B.dot(S.dot(V_e)) + self.K.dot(S.dot(X_e))
+        K, share, brake = self.passes(state)
+        ahead, spring = S.dot(ahead), self.B.dot(S.dot(V_e)) + K.dot(S.dot(X_e))
+        if brake:
+            ahead = ahead + brake * S.dot(V_e)
         if self.massless:
             return np.asarray(ahead + self.mobility(state).dot(spring))
         if self.source != "acceleration":
-            return np.asarray(ahead + self._inverse.dot(spring + self.push(state)))
+            return np.asarray(ahead + self._inverse.dot(spring + share * self.push(state)))
         # what the arm did in the last tick tells the push: Lam y = (Lam - M) (xdd - xdd_d) + B xd_e + K x_e
         W, Vdot = self.mobility(state), state.felt.get(self, NEW).Vdot
         past = np.zeros(len(ahead)) if Vdot is None else S.dot(Vdot) - ahead
@@ -191,6 +232,7 @@ class AdmittanceTask(Compliance):
         self.printed = law == "printed"
         self.carries = not self.printed
         self.Kp, self.Kd = (gain_matrix(gain, len(self.axes), name) for gain, name in ((kp, "kp"), (kd, "kd")))
+        self.lag = 0.0 if self.printed else float(self.Kd.trace() / max(self.Kp.trace(), 1e-9))
 
     def feel(self, state: State, measured: Array | None, tau: Array, last: Felt) -> Felt:
         felt = super().feel(state, measured, tau, last)
@@ -199,9 +241,13 @@ class AdmittanceTask(Compliance):
         T, V = frame.T, frame.V
         if not self.printed and last.T is not None and last.motion is not None:
             T, V = self._moved(state, last.T, last.motion)
+        felt = self.fill(state, felt, last, T, V, late=self.printed)
+        K, share, brake = self.passes(state)
         X_e, V_e, ahead = self.errors(T, V, self.desired(state))
-        spring = self.B.dot(S.dot(V_e)) + self.K.dot(S.dot(X_e))
-        along = S.dot(ahead) + self._inverse.dot(spring + self.push(state))
+        spring = self.B.dot(S.dot(V_e)) + K.dot(S.dot(X_e))
+        along = S.dot(ahead) + self._inverse.dot(spring + share * self.push(state))
+        if brake:
+            along = along + brake * S.dot(V_e)
         motion = np.column_stack((V, ahead + self.lift(state).dot(along - S.dot(ahead))))
         return felt._replace(T=T.homogeneous, motion=motion)
 

@@ -30,6 +30,7 @@
     TASK.external.rms_error, .lag                  observer: error of its model, and of its lag [N]
     TASK.step_error, .bode.gain_error, .phase_error        one axis: against the closed form [1], [dB], [deg]
     TASK.compliance_error, CONTACT.stiffness_error, stiffness.ratio     the two ideals (`response`) [1]
+    TASK.tank.min                                  least energy in its tank, from the first tick [J]
   of a robot with a floating base also what `stance` tells.
     torque.max_excess, torque.max_share            torque beyond its limit [N m], largest share of a limit used
     torque_rate.max, torque_rate.max_excess        [N m/s]
@@ -90,6 +91,8 @@ def vocabulary(phases: Sequence[Any], plant: Any = None) -> list[str]:
                 names += [
                     f"{name}.{screw}.{figure}" for screw in _screws(task) for figure in ("rms_error", "max_error")
                 ]
+            if name in phase.tanks:
+                names.append(f"{name}.tank.min")
             names += [f"{name}.{each}.{figure}" for each in _of_body(task) for figure in ("rms_error", "max_error")]
     return sorted({*names, *stance.names(phases, plant)})
 
@@ -176,6 +179,9 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
             out[f"{name}.{axis}.speed.max"] = float(np.abs(rate[held]).max()) if held.any() else math.nan
             out[f"{name}.{axis}.slip"] = float(np.abs(way).max()) if late.any() else math.nan
     out |= response.figures(log, phases, settle) | _limits(log)
+    for name in {name for phase in phases for name in phase.tanks if f"{name}.tank" in log}:
+        energy = log[f"{name}.tank"]
+        out[f"{name}.tank.min"] = float(np.nanmin(energy)) if np.isfinite(energy).any() else math.nan
     if APART in log:
         out[f"{APART}.min"] = float(log[APART].min())
     return out | stance.figures(log, phases, settle) if any(f"{name}.way" in log for name in _contacts(phases)) else out

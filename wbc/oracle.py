@@ -199,6 +199,9 @@ def _compliance(
     G = S @ d.J
     X_e, V_e, ahead = (S @ part for part in _errors(task, d.T, d.V, task.desired(state)))
     f_ext = np.zeros(len(S)) if felt.F is None else -np.linalg.pinv(S).T @ felt.F
+    K, share = (task.wanted(state), 1.0) if felt.tank is None else (felt.tank.K, felt.tank.valve)
+    if felt.tank is not None:
+        ahead = ahead + felt.tank.brake * V_e
     if isinstance(task, AdmittanceTask) and not task.printed:
         assert felt.T is not None
         assert felt.motion is not None
@@ -206,7 +209,7 @@ def _compliance(
         X_e, V_e, ahead = (S @ part for part in parts)
         return G, ahead + task.Kp @ X_e + task.Kd @ V_e, S @ d.drift
     if not task.massless and task.source != "acceleration":
-        return G, ahead + analytic.admittance_acceleration(task.M, task.B, task.K, f_ext, -V_e, -X_e), S @ d.drift
+        return G, ahead + analytic.admittance_acceleration(task.M, task.B, K, share * f_ext, -V_e, -X_e), S @ d.drift
     rows = np.concatenate([np.zeros((0, d.h.size)), *(A @ each.J for A, each in held.values())])
     free = np.linalg.inv(d.M)
     if len(rows):
@@ -214,11 +217,11 @@ def _compliance(
     W = G @ free @ G.T
     if task.massless:
         Lam = np.linalg.inv(W)
-        y = analytic.impedance_acceleration(Lam, task.B, task.K, -V_e, -X_e, np.zeros(len(S)), Lam)
+        y = analytic.impedance_acceleration(Lam, task.B, K, -V_e, -X_e, np.zeros(len(S)), Lam)
         return G, ahead + y, np.zeros(len(S)) if phase.gravity_only else S @ d.drift
     past = np.zeros(len(S)) if felt.Vdot is None else S @ felt.Vdot - ahead
     # book 11.66 along the axes: Lam y = (Lam - M) xdd - B xd - K x
-    return G, ahead + past + W @ (task.B @ V_e + task.K @ X_e - task.M @ past), S @ d.drift
+    return G, ahead + past + W @ (task.B @ V_e + K @ X_e - task.M @ past), S @ d.drift
 
 
 def _errors(task: Compliance | MotionTask, T: Array, V: Array, desired: Sample) -> tuple[Array, Array, Array]:

@@ -5,6 +5,7 @@ A `Phase` places tasks with weights beside contacts and limits; a `Program` is i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -29,7 +30,7 @@ from .relative import GazeTask
 from .robot import Robot, State, Terms
 from .singular import BACK, ease, threshold
 from .solver import ProxQP, Solution, Solver, answer
-from .task import ForceTask, MotionTask, PostureTask, Task
+from .task import ForceLoop, ForceTask, MotionTask, PostureTask, Task
 from .transition import Exit
 
 if TYPE_CHECKING:
@@ -94,6 +95,12 @@ class Phase:
     def following(self) -> dict[str, Any]:
         """Tasks whose reference is led in where it jumps, by name."""
         return {name: task for name, task in self.tasks.items() if getattr(task, "jump", None) is not None}
+
+    @cached_property
+    def tanks(self) -> dict[str, ForceTask | Compliance]:
+        """Tasks whose energy is bounded, by name."""
+        bounded = {n: t for n, t in self.tasks.items() if isinstance(t, ForceTask | Compliance) and t.tank is not None}
+        return bounded
 
     @cached_property
     def feeling(self) -> dict[str, str]:
@@ -209,6 +216,23 @@ def carry_felt(state: State, phase: Phase, felt: Mapping[str, Felt]) -> None:
             continue
         counted.append(task.frame)
         state.carry(*_unheld(state, task.frame, F))
+
+
+def recall(state: State, phase: Phase, loops: Mapping[str, ForceLoop], felt: Mapping[str, Felt]) -> None:
+    """What tasks with a tank remember of the last tick, for what asks for it before this one is filled in."""
+    for name, task in phase.tanks.items():
+        if isinstance(task, ForceTask):
+            if task.contact in loops:
+                state.loops[task.contact] = loops[task.contact]
+        elif name in felt:
+            state.felt[task] = felt[name]
+
+
+def stored(state: State, task: ForceTask | Compliance) -> float:
+    """The energy in the tank of a task [J]; not a number before its first tick."""
+    memory = state.loops.get(task.contact) if isinstance(task, ForceTask) else state.felt.get(task)
+    tank = None if memory is None else memory.tank
+    return math.nan if tank is None else tank.energy
 
 
 def _unheld(state: State, frame: str, F: Array) -> tuple[str, Array]:
@@ -503,6 +527,10 @@ class Program:
         names = [f"{name}.lifted" for name in self.pushing if state.contacts[name].lifted]
         names += [f"{name}.{state.loops[name].cut}" for name in self.force if state.loops[name].cut]
         names += state.gave
+        for name, task in self.phase.tanks.items():
+            memory = state.loops[task.contact] if isinstance(task, ForceTask) else state.felt[task]
+            if memory.tank is not None and memory.tank.limited:
+                names.append(f"{name}.tank")
         names += [self.name(self.last.labels[i], bool(z[i] > 0.0), state, tau_last, dt) for i in found]
         return tuple(dict.fromkeys(names)) if self.pushing else tuple(names)
 

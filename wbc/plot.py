@@ -160,13 +160,14 @@ def _error(ax: Axes, log: Log, contact: str, index: list[int], unit: str) -> Non
 
 
 def _pushes(fig: Figure, place: SubplotSpec, log: Log, tasks: Mapping[str, Sequence[str]]) -> None:
-    """What truly pushes on each compliant task, and how far it gives way, below."""
+    """What truly pushes on each compliant task, and below how far it gives way, and what is left in its tank."""
     grid = GridSpecFromSubplotSpec(1, len(tasks), place, wspace=0.2)
     for i, (name, axes) in enumerate(tasks.items()):
         linear = [j for j, axis in enumerate(axes) if axis[0] == "v"]  # moments have a unit of their own
         index = linear or list(range(len(axes)))
         units = ("N", "mm") if linear else ("N m", "mrad")
-        cell = GridSpecFromSubplotSpec(2, 1, grid[0, i], hspace=0.08)
+        tank = f"{name}.tank" in log
+        cell = GridSpecFromSubplotSpec(3 if tank else 2, 1, grid[0, i], hspace=0.08)
         names = [axes[j][1:] if len(axes[j]) == 2 else axes[j] for j in index]
         rows = (("external", 1.0), ("displacement", 1e3))
         for row, ((quantity, factor), unit, said) in enumerate(
@@ -178,8 +179,13 @@ def _pushes(fig: Figure, place: SubplotSpec, log: Log, tasks: Mapping[str, Seque
             if row:
                 ax.set_ylabel(f"{said}\n[{unit}]", size=8, color=INK)
             else:
-                ax.tick_params(labelbottom=False)
                 legend(ax, loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=7)
+            ax.tick_params(labelbottom=bool(row) and not tank)
+        if tank:
+            ax = panel(fig.add_subplot(cell[2], label=f"{name} tank [J]"), "", log, f"{name}.external")
+            ax.set_ylabel("tank\n[J]", size=8, color=INK)
+            lines(ax, log, log[f"{name}.tank"][:, None], "energy", linewidth=1.8)
+            window(ax, np.zeros((1, 1)), _known(log[f"{name}.tank"][:, None]))
 
 
 def _of(log: Log, motions: list[str], part: slice) -> list[str]:

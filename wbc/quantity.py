@@ -6,6 +6,7 @@ CONTACT.distance   of its frame from where the contact holds it, against its pus
 CONTACT.slip       speed of its frame across its push along what friction is to hold there, while it is active [m/s]
 TASK.error, .speed distance to the reference along the task's axes [m], speed of its frame [m/s] (as the task sees it)
 TASK.singular      smallest singular value of the task's rows in what the contacts leave free (`wbc.singular`)
+TASK.tank          the energy left in the tank of a task that has one [J]
 TASK.done          1 when the reference, and what led into it, have come to rest for good
 
 All of them are true of the robot's model and of the sensor, as the controller knows them: a slip is that of the joints'
@@ -21,7 +22,9 @@ import numpy as np
 import pinocchio as pin
 
 from .contact import Contact
+from .impedance import Compliance
 from .pair import seen
+from .phase import stored
 from .qp import Array
 from .robot import State
 from .singular import smallest, threshold
@@ -107,6 +110,11 @@ def singular(task: MotionTask, start: State, contacts: Mapping[str, Contact]) ->
 def ending(task: MotionTask) -> float:
     """When the reference of a task has come to rest for good, after it began [s]; infinite: never."""
     return float(getattr(task.reference, "ends", math.inf))
+
+
+def tank(task: ForceTask | Compliance) -> Reading:
+    """[J]"""
+    return lambda state: stored(state, task)
 
 
 def pressing(task: ForceTask) -> Reading:

@@ -14,11 +14,12 @@ from .centroidal import MomentumTask
 from .contact import Contact
 from .controller import Controller
 from .dynamics import mobility, unheld
+from .impedance import Compliance
 from .ladder import Status
 from .log import Log
 from .memory import Output
 from .metrics import APART
-from .phase import Phase, hold
+from .phase import Phase, hold, stored
 from .qp import Array
 from .relative import GazeTask
 from .robot import State, Terms
@@ -69,6 +70,10 @@ class Recorder:
             _of_pushes(row, controller, simulator)
         if self._standing is not None:
             self._standing.record(row, controller.phase, state, out, self.contacts, self.true)
+        for name, task in controller.phase.tanks.items():
+            row[f"{name}.tank"] = stored(controller.state, task)
+            if isinstance(task, Compliance):
+                row[f"{name}.stiffness"] = task.passes(controller.state)[0]
         self._log.append(out.active, **row)
         self._note_phase(t, out)
 

@@ -95,9 +95,10 @@ def names(phases: Sequence[Any], plant: Any) -> list[str]:
     found: list[str] = []
     for phase in phases:
         for name, task in phase.compliant.items():
-            found += [f"{name}.{figure}" for figure in (*FIT, *(f"law.{each}" for each in FIT), "speed.max")]
+            fits = (*FIT, *(f"law.{each}" for each in FIT)) if task.K_scale is None else ()  # of what stays as it is
+            found += [f"{name}.{figure}" for figure in (*fits, "speed.max")]
             found += [f"{name}.external.{figure}" for figure in ("rms_error", "lag")] if task.observer else []
-            if len(task.axes) == 1:
+            if len(task.axes) == 1 and task.K_scale is None:
                 found += [f"{name}.{figure}" for figure in ("step_error", "bode.gain_error", "bode.phase_error")]
         if plant is not None and plant.pushes:
             found += [f"{name}.compliance_error" for name, t in phase.tasks.items() if isinstance(t, MotionTask)]
@@ -129,7 +130,7 @@ def figures(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
 
 def _compliant(log: Log, name: str, task: Compliance, settle: float) -> dict[str, float]:
     out = {f"{name}.speed.max": float(log[f"{name}.speed"][log["t"] >= settle].max(initial=0.0))}
-    for part, law in (("", False), ("law.", True)):
+    for part, law in (("", False), ("law.", True)) if task.K_scale is None else ():
         fit = identify(log, name, task, settle, law)
         out |= {
             f"{name}.{part}{figure}": _error(*pair) for figure, *pair in zip(FIT, fit, task_parts(task), strict=True)
@@ -138,7 +139,7 @@ def _compliant(log: Log, name: str, task: Compliance, settle: float) -> dict[str
         late = log["t"] >= settle
         model, lag = observer_errors(log[f"{name}.felt"], log[f"{name}.external"], task.observer.cutoff, log.meta["dt"])
         out[f"{name}.external.rms_error"], out[f"{name}.external.lag"] = _rms(model[late]), _rms(lag[late])
-    if len(task.axes) == 1:
+    if len(task.axes) == 1 and task.K_scale is None:
         out |= _second_order(log, name, task)
     return out
 

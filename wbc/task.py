@@ -25,6 +25,8 @@ from .qp import Array, Rows
 from .reference import Reference, Sample
 from .robot import State
 from .singular import LEAST
+from .tank import Bounded, Tank, pressed
+from .transition import LOST_SHARE
 from .wrench import VELOCITY_AXES
 
 _ORDER = np.array([3, 4, 5, 0, 1, 2])
@@ -199,6 +201,8 @@ class ForceLoop(NamedTuple):
     error: Array = _NOTHING
     command: Array = _NOTHING  # (k,) the multipliers asked for
     cut: str = ""  # what took from the target or the command because the world only pushes: push or friction
+    pressed: bool = True  # whether the measured force is such that the integral may grow
+    tank: Tank | None = None
 
 
 _NEW_LOOP = ForceLoop()
@@ -211,9 +215,11 @@ class ForceTask:
     wrench F_d (6,) in the frame's axes, lambda_d = (A')^+ F_d; an array, or t -> array; `kp`, `ki` [1/s], `damping`
     [N s/m, N m s/rad] over the contact's axes; `filter`: cutoff of the measured wrench [Hz] or None; `integral_limit`
     on Ki int e [N, N m]; `rate` at which the target is followed: over the axes, or a number [N/s] of forces, of which a
-    tenth [N m/s] is that of moments. The error is that of the constrained axes alone, e = lambda_d - (A')^+ F, less
-    what limits took from the command, which is no error (anti-windup; exactly zero while no limit is active).
-    `law="book"` projects the whole measured F_e by I - P, and leaves the bias Lam Adot V in the force.
+    tenth [N m/s] is that of moments; `tank`: what bounds the energy that it brings in. The error is that of the
+    constrained axes alone, e = lambda_d - (A')^+ F, less what limits took from the command, which is no error; and what
+    is waited for is none: without a tenth of the desired force along it the integral only goes back to zero
+    (anti-windup; both exactly nothing while no limit is active and the contact holds). `law="book"` projects the whole
+    measured F_e by I - P, and leaves the bias Lam Adot V in the force.
     """
 
     def __init__(
@@ -229,7 +235,9 @@ class ForceTask:
         law: str = "compensated",
         wrench: bool = False,
         rate: Any = RATE,
+        tank: Bounded | None = None,
     ) -> None:
+        self.tank = tank
         self.contact, self.law, self._held_by, self.wrench = contact, law, held_by, wrench
         self.target = target if callable(target) else _always(np.array(target, float))
         k = held_by.k
@@ -294,21 +302,23 @@ class ForceTask:
         """What the integral must be for Ki int e to be this part of the command; zero without an integral gain."""
         return np.asarray(np.linalg.solve(self.Ki, part), float) if self.Ki.any() else np.zeros(part.size)
 
-    def sense(self, state: State, desired: Array) -> tuple[Array | None, Array, Array | None, Array]:
-        """Filtered wrench, integral, what limits took, error; without a sensor the loop is open (book 11.33)."""
+    def sense(self, state: State, target: Array) -> tuple[Array | None, Array, Array | None, Array, bool]:
+        """Filtered wrench, integral, what limits took, error, and whether the contact is felt to hold; without a sensor
+        the loop is open (book 11.33)."""
         held: Held = state.contacts[self.contact]
         loop, measured = state.loops[self.contact], state.measured.get(self.contact)
-        size = 6 if self._book else desired.size
+        size = 6 if self._book else target.size
         integral = loop.integral if loop.integral.size == size else np.zeros(size)
         yielded = self._yielded(loop, state.dt)
         if measured is None:
-            return loop.filtered, integral, yielded, np.zeros(size)
+            return loop.filtered, integral, yielded, np.zeros(size), False
         # what a limit took is no error: counted as one, it would wind up, and strike when the limit lets go
-        desired = desired if yielded is None else desired + yielded
+        desired = target if yielded is None else target + yielded
         past = measured if loop.filtered is None else loop.filtered
         filtered, error = np.empty(6), np.empty(desired.size)
-        kernels.sense(measured, past, self.smoothing(state.dt), held.inverse, desired, filtered, error)
-        return filtered, integral, yielded, held.A.T.dot(desired) - filtered if self._book else error
+        alpha, A = self.smoothing(state.dt), held.A
+        holds = kernels.sense(measured, past, alpha, held.inverse, desired, A, target, LOST_SHARE, filtered, error)
+        return filtered, integral, yielded, A.T.dot(desired) - filtered if self._book else error, holds
 
     def _yielded(self, loop: ForceLoop, dt: float) -> Array | None:
         if loop.yielded is None and loop.last is None:
@@ -323,7 +333,7 @@ class ForceTask:
         command, cut = self.desired(state), ""
         if held.cone is not None:
             command, cut = held.cone.cut(command)  # a target that no contact could answer is no error
-        filtered, integral, yielded, error = self.sense(state, command)
+        filtered, integral, yielded, error, holds = self.sense(state, command)
         G, _, K = state.primary
         k = command.size
         # a motion task on this contact has computed the mobility already: its rows begin with the contact's
@@ -335,28 +345,34 @@ class ForceTask:
             if held.Adot_V is not None:
                 push += held.Adot_V
             command = command + inertia(metric).dot(push)
-            command -= self.K_damp.dot(held.slip)
         else:
             command = command.copy()
             kernels.feedback(self._K, error, integral, command)
-            if self._brakes is not None:
-                kernels.feedback(self._brakes, held.slip, _NOTHING, command)
+        tank = None
+        if self.tank is not None:
+            tank = self.tank.press(state.loops[self.contact].tank, command, held.slip, metric, state.dt)
+            shut = (1.0 - tank.valve) * command
+        if self._brakes is not None:
+            kernels.feedback(self._brakes, held.slip, _NOTHING, command)
         asked = command
+        if tank is not None and tank.limited:
+            command = asked - shut  # what the valve takes is what a limit takes
         if held.cone is not None:
-            command, short = held.cone.cut(asked)
+            command, short = held.cone.cut(command)
             cut = cut or short
-        state.loops[self.contact] = ForceLoop(filtered, integral, yielded, None, error, asked, cut)
+        state.loops[self.contact] = ForceLoop(filtered, integral, yielded, None, error, asked, cut, holds, tank)
         return Rows("", {self.contact: None}, command, command, metric)
 
     def advance(self, state: State, lam: Array) -> ForceLoop:
         """The memory for the next tick, from the multipliers (k,) that the limits allowed."""
         loop: ForceLoop = state.loops[self.contact]
         integral, last = np.empty(loop.error.size), np.empty(lam.size)
-        nothing = kernels.advance(lam, loop.command, loop.integral, loop.error, state.dt, integral, last)
+        nothing = kernels.advance(lam, loop.command, loop.integral, loop.error, state.dt, loop.pressed, integral, last)
         if self.integral_limit < math.inf:
             bound = self.integral_limit / np.maximum(self.Ki.diagonal(), 1e-12)
             integral = np.clip(integral, -bound, bound)
-        return ForceLoop(loop.filtered, integral, loop.yielded, None if nothing else last)
+        tank = None if loop.tank is None else pressed(loop.tank, lam)
+        return ForceLoop(loop.filtered, integral, loop.yielded, None if nothing else last, tank=tank)
 
 
 def _rates(axes: tuple[str, ...], rate: Any) -> Array:

@@ -22,6 +22,7 @@ from .qp import Array
 from .reference import Reference, Scalar, constant
 from .relative import GazeTask, RelativeTask
 from .robot import Robot
+from .tank import Bounded
 from .task import RATE, ForceTask, MotionTask, PostureTask, Task
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
@@ -136,9 +137,10 @@ class Tracking:
         if source == "observer":
             assert cutoff is not None
             observer, cutoff = MomentumObserver(self.geometry.robot, cutoff), None
+        K_scale = None if entry.K_scale is None else self.geometry.profile(entry.K_scale)
         place = (
             frame, self.references[name], M, B, K, axes, entry.contact, entry.error, source, cutoff, observer,
-            *_follows(entry),
+            *_follows(entry), K_scale, self._tank(entry.tank),
         )  # fmt: skip
         if isinstance(entry, specs.ImpedanceTask):
             return ImpedanceTask(*place, compensate=entry.compensate)
@@ -157,9 +159,13 @@ class Tracking:
         rate = self._gain(entry, name, "rate", contact.axes)
         rate = rate if np.any(rate) else RATE  # which is at fault
         wrench = not isinstance(contact, AxesContact | SphereContact)  # their multipliers have names
-        return ForceTask(
-            entry.contact, contact, target, kp, ki, damping, entry.filter, limit, self.geometry.spec.law, wrench, rate
-        )
+        law, tank = self.geometry.spec.law, self._tank(entry.tank)
+        return ForceTask(entry.contact, contact, target, kp, ki, damping, entry.filter, limit, law, wrench, rate, tank)
+
+    def _tank(self, entry: specs.Tank | float | None) -> Bounded | None:
+        if not isinstance(entry, specs.Tank):
+            return None if entry is None else Bounded(entry)
+        return Bounded(entry.energy, entry.most, math.ceil(entry.delay * self.geometry.spec.rate - 1e-9))
 
     def _force_target(self, name: str, contact: Contact) -> Any:
         """lambda_d (k,) of a table, else the wrench (6,), or a function of time. Raises WrenchError for what the

@@ -31,7 +31,7 @@ WRONG: tuple[Callable[[Array], Any], ...] = (
     lambda x: np.append(x, 0.0),
     lambda x: x[:, None].copy(),
     lambda x: x.astype(np.float32),
-    lambda x: x.astype(int),
+    lambda x: np.zeros(x.shape, int),
     lambda x: x.astype(complex),
     lambda x: x.astype(object),
     lambda x: x.astype(x.dtype.newbyteorder()),

@@ -31,11 +31,15 @@ def spring(K: Array, goal: Array, at: Array, rate: Array, out: Array) -> None:
         out[i] = s
 
 
-@compiled(NOTHING, v, v, F, m, v, V, V)
+@compiled(TRUTH, v, v, F, m, v, m, v, F, V, V)
 def sense(
-    measured: Array, past: Array, alpha: float, inverse: Array, desired: Array, filtered: Array, error: Array
-) -> None:
-    """filtered = past + alpha (measured - past); error = desired - (A')^+ filtered."""
+    measured: Array, past: Array, alpha: float, inverse: Array, desired: Array, A: Array, target: Array, share: float,
+    filtered: Array, error: Array,
+) -> bool:  # fmt: skip
+    """filtered = past + alpha (measured - past); error = desired - (A')^+ filtered.
+
+    Whether the filtered force has `share` of the target's along it, f'f_d >= share f_d'f_d with f_d of A' target.
+    """
     for j in range(6):
         filtered[j] = past[j] + alpha * (measured[j] - past[j])
     for i in range(desired.size):
@@ -43,13 +47,28 @@ def sense(
         for j in range(6):
             s -= inverse[i, j] * filtered[j]
         error[i] = s
+    along, square = 0.0, 0.0
+    for j in range(3, 6):
+        f_d = 0.0
+        for i in range(target.size):
+            f_d += A[i, j] * target[i]
+        along += filtered[j] * f_d
+        square += f_d * f_d
+    return along >= share * square  # also where no force is wanted
 
 
-@compiled(TRUTH, v, v, v, v, F, V, V)
-def advance(lam: Array, command: Array, integral: Array, error: Array, dt: float, grown: Array, missing: Array) -> bool:
-    """grown = integral + dt error; missing = lam - command. Whether nothing is missing but rounding."""
+@compiled(TRUTH, v, v, v, v, F, TRUTH, V, V)
+def advance(
+    lam: Array, command: Array, integral: Array, error: Array, dt: float, pressed: bool, grown: Array, missing: Array
+) -> bool:
+    """grown = integral + dt error, of what is not `pressed` only as far as towards zero; missing = lam - command.
+
+    Whether nothing is missing but rounding.
+    """
     for i in range(error.size):
         grown[i] = integral[i] + dt * error[i]
+        if not pressed and grown[i] * error[i] > 0.0:
+            grown[i] = integral[i] if integral[i] * error[i] > 0.0 else 0.0
     short, size = 0.0, 1.0
     for i in range(lam.size):
         missing[i] = lam[i] - command[i]

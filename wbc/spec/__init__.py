@@ -30,6 +30,7 @@ from .task import (
     Over,
     PostureTask,
     RelativeTask,
+    Tank,
     Task,
     TorqueTask,
 )
@@ -65,6 +66,7 @@ __all__ += [
     "MomentumTask",
     "Over",
     "RelativeTask",
+    "Tank",
     "TorqueTask",
 ]
 __all__ += ["AdmittanceTask", "Bias", "ImpedanceTask", "Move", "Push", "Sine", "Wave"]

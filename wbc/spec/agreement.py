@@ -157,6 +157,17 @@ def _of_task(
         yield "target", message
     if task.contact and (message := _unknown(task.contact, spec, "contacts", left_out)):
         yield "contact", message
+    if isinstance(task, ImpedanceTask | AdmittanceTask) and task.K_scale is not None:
+        if message := _unknown(task.K_scale, spec, "references", left_out):
+            yield "K_scale", message
+        elif (reference := spec.references.get(task.K_scale)) is not None:
+            if reference.profile is None:
+                yield "K_scale", f"{task.K_scale!r} is a {reference.kind}; expected a profile, a number over time"
+            elif min(reference.profile.values) < 0.0:
+                yield (
+                    "K_scale",
+                    f"{task.K_scale!r} falls below 0, where a spring pushes away; expected values of at least 0",
+                )
     axes: tuple[str, ...] | None = None  # None: the spec alone does not tell
     if contact := spec.contacts.get(task.contact or ""):
         axes = contact.gain_names(task.type)
@@ -268,10 +279,14 @@ def _unmeasured(
     motions = [name for name, task in spec.tasks.items() if isinstance(task, MotionTask | RelativeTask)]
     known = [f"{name}.{each}" for name in spec.contacts for each in (*WRENCH_AXES, "distance")]
     known += [f"{name}.slip" for name in contacts]
-    known += [f"{name}.{each}" for name in motions if name in tasks for each in ("done", "error", "singular", "speed")]
+    of_motion = ("done", "error", "singular", "speed")
+    known += [f"{name}.{each}" for name in motions if name in tasks for each in of_motion]
+    bounded = [name for name, task in spec.tasks.items() if getattr(task, "tank", None) is not None]
+    known += [f"{name}.tank" for name in bounded if name in tasks]
     if quantity in known or any((section, subject) in left_out for section in ("contacts", "tasks")):
         return None
-    if subject in motions and subject not in tasks and what in ("done", "error", "singular", "speed"):
+    elsewhere = (subject in motions and what in of_motion) or (subject in bounded and what == "tank")
+    if elsewhere and subject not in tasks:
         return f"task {subject!r} is not active in this phase; expected one of its own"
     if subject in spec.contacts and subject not in contacts and what == "slip":
         return f"contact {subject!r} is not active in this phase; expected one of its own"

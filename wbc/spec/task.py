@@ -51,6 +51,29 @@ class Following(Placed):
     jump: Jump = Field(default=Jump(), description="how fast a reference that jumps is led in")
 
 
+class Tank(Model):
+    """What bounds the energy that a task brings in."""
+
+    energy: Positive = Field(description="energy with which it begins [J]")
+    most: Positive | None = Field(
+        default=None, description="energy that it holds at most; as it begins, if left out [J]"
+    )
+    delay: Annotated[NonNegative, Field(le=0.1)] = Field(
+        default=0.0, description="up to which delay of torques and measured wrenches it pays for what they cost [s]"
+    )
+
+    def _faults(self) -> Iterable[Message]:
+        if self.most is not None and self.most < self.energy:
+            yield ("most",), f"expected at least energy = {self.energy:g} J, got {self.most:g}"
+
+
+ATank = Annotated[
+    Annotated[Positive, Tag("<number>")] | Annotated[Tank, Tag("<map>")],
+    either("a number (the energy) or a mapping with energy"),
+]
+_TANK = "bound of the energy that the task brings in: what it is given and dissipates [J]"
+
+
 class ForceTask(Placed):
     """Track the wrench of a contact: feed-forward, proportional, integral, damping along the constrained axes."""
 
@@ -70,6 +93,7 @@ class ForceTask(Placed):
     integral_limit: NonNegative | None = Field(
         default=None, description="bound of ki times the integral, each axis [N m, N]"
     )
+    tank: ATank | None = Field(default=None, description=_TANK)
     weight: Positive = Field(
         default=1.0, description="weight of the force cost against the motion's, where a limit makes them compete [1]"
     )
@@ -108,6 +132,8 @@ class _Compliance(Following):
     K: Gain = Field(description="stiffness [N m/rad, N/m]")
     error: Error = Field(default="log", description=_ERROR)
     filter: Positive | None = Field(default=None, description="cut-off of the low-pass on the external wrench [Hz]")
+    K_scale: Text | None = Field(default=None, description="a profile over time, by which K is multiplied [1]")
+    tank: ATank | None = Field(default=None, description=_TANK)
     weight: Positive = Field(default=1.0, description="weight of the cost, relative [1]")
 
     @property
