@@ -38,6 +38,12 @@ ROWS: dict[Hashable, tuple[str, str]] = {
 }  # fmt: skip
 
 
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return tuple(map(_plain, value))
+    return value.item() if isinstance(value, np.generic) else value
+
+
 class Told(NamedTuple):
     row: Hashable
     outcome: str
@@ -62,10 +68,7 @@ class Rows:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_makereport(self, item: Any) -> None:
         """Numbers of numpy as those of Python: others do not travel between processes."""
-        told = [
-            (name, value.item() if isinstance(value, np.generic) else value) for name, value in item.user_properties
-        ]
-        item.user_properties[:] = told
+        item.user_properties[:] = [(name, _plain(value)) for name, value in item.user_properties]
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.when == "call" or (report.when == "setup" and report.outcome != "passed"):
