@@ -31,6 +31,7 @@ Mask = NDArray[np.bool_]
 TOLERANCE = 1e-6  # of rows of norm 1 that together still have an answer
 FAR = 1e6  # [rad/s^2, m/s^2, N, N m] a certificate excludes every x within
 SHARE = 1e-9  # of the largest y: less is rounding
+PENALTY = 1e4  # of rows of norm 1 that give way, over that of one name
 # of HiGHS; a number of threads would be that of all its programs in the process
 OPTIONS: dict[str, Any] = {
     "output_flag": False, "presolve": "off", "parallel": "off", "simplex_scale_strategy": 0,
@@ -47,6 +48,13 @@ class Member(NamedTuple):
     upper: bool
     needs: float
     frees: bool
+
+
+class Shown(NamedTuple):
+    """That some rows contradict one another: their multipliers y (rows,), and the point (n,) that misses them least."""
+
+    y: Array
+    x: Array
 
 
 class System:
@@ -83,17 +91,17 @@ class System:
 
     def conflict(self, among: Sequence[str] | None = None) -> tuple[str, ...]:
         """Names of an irreducible infeasible set, the largest share first; none where all hold together."""
-        y = self._contradiction(self.names if among is None else among)
-        return () if y is None else self._irreducible(y, ())[0]
+        shown = self._contradiction(self.names if among is None else among)
+        return () if shown is None else self._irreducible(shown, ())[0]
 
     def members(self, among: Sequence[str] | None = None) -> list[Member]:
         """The same with what is to be told of each, those first that stand in every conflict."""
         among = self.names if among is None else among
-        y, found = self._contradiction(among), list[Member]()
-        if y is None:
+        shown, found = self._contradiction(among), list[Member]()
+        if shown is None:
             return found
-        frees = self._frees(y, among)
-        names, y = self._irreducible(y, frees)
+        frees = self._frees(shown.y, among)
+        names, y = self._irreducible(shown, frees)
         for name in sorted(names, key=lambda each: each not in frees):
             own = np.flatnonzero(self._of == self._number[name])
             most = own[np.argmax(y[own])]
@@ -105,36 +113,74 @@ class System:
         """Names without which all others hold, and what each needs: they stand in every contradiction."""
         everywhere, needs = self._involved(y), dict[str, float]()
         for name in tuple(everywhere):
-            if name in everywhere:
+            if name not in everywhere:
+                continue
+            need = self._relaxation(name, among, PENALTY)
+            if need is None:
                 other = self._contradiction([each for each in among if each != name])
                 if other is None:
-                    needs[name] = self._relaxation(name, among)
+                    need = self._relaxation(name, among)
+                    if need is None:
+                        raise SolverError(f"HiGHS found no least relaxation of {name} that holds")
                 else:
-                    involved = self._involved(other)
-                    everywhere = [each for each in everywhere if each in involved]
+                    everywhere = self._shared(everywhere, other)
+            if need is not None:
+                needs[name] = need
         return needs
 
-    def _relaxation(self, name: str, names: Sequence[str]) -> float:
-        """By how much the rows of one name must give way for those of the others to hold, where they can."""
+    def _shared(self, names: Sequence[str], shown: Shown) -> list[str]:
+        """Those of the names that stand in another contradiction as well."""
+        involved = set(self._involved(shown.y))
+        return [each for each in names if each in involved]
+
+    def _relaxation(self, name: str, names: Sequence[str], penalty: float = 0.0) -> float | None:
+        """By how much the rows of one name must give way for those of the others to hold, where they can.
+
+        With a `penalty` the others may give way at that price: then it is found, or nothing is known, in one program.
+        """
         counting, number = self._counting(names), self._number[name]
         give = np.where(self._of == number, self._give, 0.0)
-        for z, y, w in self._answers(counting, number):
+        for z, y, w in self._answers(counting, number, penalty):
             s = float(z[self._slack[number]])
             bound, _ = self._bound(y, w)
             if self._missed(z, counting, give * s) <= TOLERANCE and s - bound <= TOLERANCE * (1.0 + s):
                 return s
-        raise SolverError(f"HiGHS found no least relaxation of {name} that holds")
+            if penalty:
+                break
+        return None
 
-    def _irreducible(self, y: Array, needed: Collection[str]) -> tuple[tuple[str, ...], Array]:
-        """Names of an irreducible set among those of a contradiction, the largest share first, and its contradiction;
+    def _irreducible(self, shown: Shown, needed: Collection[str]) -> tuple[tuple[str, ...], Array]:
+        """Names of an irreducible set among those of a contradiction, the largest share first, and its multipliers;
         of `needed` it is known that nothing contradicts without them."""
-        left = self._involved(y)
+        left = self._involved(shown.y)
+        known = {*needed, *self._pointed(shown, left)}
         for name in tuple(left):
-            if name in left and name not in needed:
+            if name in left and name not in known:
                 less = self._contradiction([each for each in left if each != name])
                 if less is not None:
-                    y, left = less, self._involved(less)
-        return tuple(reversed(left)), y
+                    shown, left = less, self._involved(less.y)
+                    known = {*needed, *self._pointed(shown, left)}
+        return tuple(reversed(left)), shown.y
+
+    def _pointed(self, shown: Shown, names: Sequence[str]) -> set[str]:
+        """Those of the names without which the others hold, as a point shows that is easily had: the nearest at which
+        all rows of the contradiction are at their bounds but one, which makes up for it all."""
+        y, x = shown
+        counts = self._counting(names)[self._of]
+        rows = np.flatnonzero(y > SHARE * y.max())
+        K = np.concatenate((self._A[rows], self._E))
+        # y'A x = 0 beside E: what the others lack, y'b < 0 in all, one row of multiplier y_i has to give
+        w = np.linalg.lstsq(self._E.T, -(y[rows] @ self._A[rows]), rcond=None)[0]
+        lack = -float(y[rows] @ self._b[rows] + w @ self._e)
+        bounds = np.tile(np.concatenate((self._b[rows], self._e))[:, None], rows.size)
+        bounds[np.arange(rows.size), np.arange(rows.size)] += lack / y[rows]
+        points = x[:, None] + np.linalg.pinv(K) @ (bounds - (K @ x)[:, None])
+        over = np.where(counts[:, None], self._A @ points - self._b[:, None], -np.inf)
+        over[self._of[:, None] == self._of[rows]] = -np.inf
+        holds = (over.max(axis=0) <= TOLERANCE) & (
+            np.abs(self._E @ points - self._e[:, None]).max(axis=0, initial=0.0) <= TOLERANCE
+        )
+        return {self.names[i] for i in self._of[rows[holds]]}
 
     def _involved(self, y: Array) -> list[str]:
         """Names with a share in a contradiction, the smallest first."""
@@ -143,15 +189,15 @@ class System:
         order = np.argsort(share)
         return [self.names[i] for i in order[share[order] > SHARE * share[order[-1]]]]
 
-    def _contradiction(self, names: Sequence[str]) -> Array | None:
-        """y (rows,) with which rows of these names contradict one another; None where some x satisfies them."""
+    def _contradiction(self, names: Sequence[str]) -> Shown | None:
+        """That rows of these names contradict one another; None where some x satisfies them."""
         counting = self._counting(names)
         for z, y, w in self._answers(counting, len(self.names)):
             if self._missed(z, counting) <= TOLERANCE:
                 return None
             bound, rounding = self._bound(y, w)
             if bound > rounding:
-                return y
+                return Shown(y, z[: self._A.shape[1]])
         raise SolverError(f"HiGHS neither satisfied {', '.join(names)} nor showed that nothing does")
 
     def _counting(self, names: Sequence[str]) -> Mask:
@@ -171,11 +217,13 @@ class System:
         their rounding may put it where no |x| exceeds `FAR`."""
         return -float(y @ self._b + w @ self._e), FAR * float(np.abs(y @ self._A + w @ self._E).sum())
 
-    def _answers(self, counting: Mask, least: int) -> Iterator[tuple[Array, Array, Array]]:
-        """z = (x, s, t) of the least of one slack, and multipliers of rows and equalities: from the last vertex, then
-        from none."""
+    def _answers(self, counting: Mask, least: int, penalty: float = 0.0) -> Iterator[tuple[Array, Array, Array]]:
+        """z = (x, s, t) of the least of one slack, and of t where that has a `penalty`; and multipliers of rows and
+        equalities: from the last vertex, then from none."""
         most, cost = np.append(np.where(counting, 0.0, np.inf), 0.0), np.zeros(self._slack.size)
         most[least], cost[least] = np.inf, 1.0
+        if penalty:
+            most[-1], cost[-1] = np.inf, penalty
         self._highs.changeColsBounds(most.size, self._slack, np.zeros(most.size), most)
         self._highs.changeColsCost(most.size, self._slack, cost)
         for _ in range(2):
