@@ -15,6 +15,7 @@ import numpy as np
 from .contact import Contact
 from .errors import NameNotFound, StateError, WbcError, did_you_mean
 from .footing import Ground
+from .guard import Grip, kept, watch
 from .handover import Start, hand_over
 from .impedance import NEW, Felt
 from .kernels import torque
@@ -73,6 +74,7 @@ class Memory(NamedTuple):
     felt: Mapping[str, Felt] = _NONE  # what tasks know of a push
     grounds: Mapping[str, Ground] = _NONE  # where feet that measure their force have found the floor
     stale: int = 0  # ticks in a row whose time did not go on
+    grips: Mapping[str, Grip] = _NONE  # what is believed of the contacts that press
 
 
 class Tick(NamedTuple):
@@ -293,6 +295,8 @@ class Controller:
         if program.phase.exit is not None:
             watch, change = program.phase.exit.step(memory.watch, t - memory.phase_start, state)
             memory = memory._replace(watch=watch)
+        if change is None and program.force:
+            memory, change = self._guard(state, program, memory, refused)
         if change is None:
             carry(state, program.phase)
         elif change.to == STOP:
@@ -302,7 +306,8 @@ class Controller:
             program = self._programs[memory.phase]
             tau_last = program.phase.torque.inside(tau_last)
         self.recalled = memory
-        state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
+        if change is not None or not program.force:
+            state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
         if program.phase.compliant:
             memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
         if not program.assemble(state, tau_last, self.dt):
@@ -362,7 +367,7 @@ class Controller:
         felt = {name: memory.felt[name] for name in after.phase.compliant if name in memory.felt}
         return memory._replace(
             phase=index, phase_start=t, starts=starts, loops=loops, watch=_NEW_WATCH, why=why, felt=felt,
-            grounds=grounds,
+            grounds=grounds, grips=kept(memory.grips, after.force, before.phase.contacts),
         )  # fmt: skip
 
     def _stop(self, q: Array, v: Array, change: Change) -> Output:
@@ -407,6 +412,16 @@ class Controller:
             felt[name] = state.felt[task] = task.feel(state, state.measured.get(at), tau, memory.felt.get(name, NEW))
         carry_felt(state, phase, felt)
         return felt
+
+    @staticmethod
+    def _guard(state: State, program: Program, memory: Memory, refused: list[str]) -> tuple[Memory, Change | None]:
+        """What is believed of the contacts that press; the phase's way out where one has just been lost."""
+        state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
+        found = watch(state, program.force, memory.grips, memory.lam)
+        refused += found.told
+        exit = program.phase.exit
+        change = Change(exit.lost, found.told[0], found.lost) if found.lost and exit and exit.lost else None
+        return memory._replace(grips=found.grips), change
 
     def _retarget(self, state: State, targets: Mapping[str, float]) -> list[str]:
         known = [f"{name}.{axis}" for name, contact in self._contacts.items() for axis in contact.axes]
@@ -469,7 +484,7 @@ class Controller:
         self._memory = Memory(
             t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
             state.targets, status, 0, good, memory.starts, memory.watch, memory.why, memory.felt, grounds,
-            memory.stale,
+            memory.stale, memory.grips,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)

@@ -305,6 +305,8 @@ class ForceTask:
 
     def rows(self, state: State) -> Rows:
         held: Held = state.contacts[self.contact]
+        if self.contact in state.released:
+            return self._let_go(state, held)
         command, cut = self.desired(state), ""
         if held.cone is not None:
             command, cut = held.cone.cut(command)  # a target that no contact could answer is no error
@@ -332,6 +334,14 @@ class ForceTask:
             cut = cut or short
         state.loops[self.contact] = ForceLoop(filtered, integral, yielded, None, error, asked, cut)
         return Rows("", {self.contact: None}, command, command, metric)
+
+    def _let_go(self, state: State, held: Held) -> Rows:
+        """Nothing is asked of a contact that is lost, and nothing learnt from it."""
+        loop, nothing = state.loops[self.contact], np.zeros(self._held_by.k)
+        error = np.zeros(6) if self._book else nothing
+        integral = loop.integral if loop.integral.size == error.size else error
+        state.loops[self.contact] = ForceLoop(loop.filtered, integral, error=error, command=nothing)
+        return Rows("", {self.contact: None}, nothing, nothing, mobility(state, held.G))
 
     def advance(self, state: State, lam: Array) -> ForceLoop:
         """The memory for the next tick, from the multipliers (k,) that the limits allowed."""
