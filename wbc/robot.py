@@ -85,8 +85,8 @@ class State:
     measured (6,), the targets set from outside, the force loops' memory, and what tasks feel of a push; `primary` is
     (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of them;
     `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did; `grounds`:
-    contact -> how far above its plane a foot has found the floor [m]; `released`: contact that is lost -> (k,) what its
-    rows are pulled back by (see `guard`). Valid until the next state is computed from the
+    contact -> how far above its plane a foot has found the floor [m]; `released`: contact that is lost -> `Released`.
+    Valid until the next state is computed from the
     same `terms`.
     """
 
@@ -129,7 +129,7 @@ class State:
         self.primary: tuple[Array, Array, Array] = _NO_ROWS
         self.starts: Mapping[Any, Any] = _NO_STARTS
         self.grounds: Mapping[Any, float] = _NO_STARTS
-        self.released: Mapping[str, Array] = _NO_STARTS
+        self.released: Mapping[str, Any] = _NO_STARTS
         self._L: Any = None
 
     def frame(self, name: str) -> Frame:

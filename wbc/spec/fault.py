@@ -2,7 +2,8 @@
 
     WHAT.HOW [VALUE] at TIME [for DURATION | for ever]        as in  sensor.dropout at 1.2 for 0.1
 
-TIME and DURATION in seconds, or as `tick N` and `N ticks`; without a duration it fails for one tick, a contact for ever.
+TIME and DURATION in seconds, or as `tick N` and `N ticks`; without a duration it fails for one tick (a contact:
+for ever).
 """
 
 from __future__ import annotations
@@ -93,7 +94,9 @@ def planned(text: str) -> PlannedFault:
         tick=int(part["tick"] or -1),
         duration=math.inf
         if part["ever"] or (kind.lasts and not (part["span"] or part["ticks"]))
-        else _number(part["span"], "a duration [s]") if part["span"] else 0.0,
+        else _number(part["span"], "a duration [s]")
+        if part["span"]
+        else 0.0,
         ticks=int(part["ticks"] or -1),
     )
 
