@@ -139,6 +139,8 @@ def _tick(state: State, name: str, task: ForceTask, grip: Grip, lam: Array | Non
         return _by_motion(state, name, grip, held, at, said)
     if grip.calm >= 0:
         return _not_believed(state, name, grip._replace(strayed=strayed, silent=0), held, at)
+    if not task.listens:  # what nobody goes by need not be right
+        at = at._replace(surprise=0.0)
     return _believed(state, name, grip, held, at, strayed, grown)
 
 

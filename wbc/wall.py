@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 class Wall:
     """The geoms and welds of the scene that hold the bodies of `frames`, as they touch when the fault begins.
 
-    `remove` lets the robot pass through them; `shift` moves the geoms by so many metres [m] away from the robot, along
+    `remove` puts them out of reach; `shift` moves the geoms by so many metres [m] away from the robot, along
     the normal with which they were touched (they have no velocity in MuJoCo: contact knows positions alone). `restore`
     undoes both.
     """
@@ -39,7 +39,6 @@ class Wall:
         size = float(np.linalg.norm(normal))
         self.normal = normal / size if size > 0.0 else normal
         self.welds = [i for i in range(model.neq) if self._welded(i, bodies)]
-        self._masks = model.geom_contype[self.geoms].copy(), model.geom_conaffinity[self.geoms].copy()
         self._places = model.geom_pos[self.geoms].copy()
         self._same = model.geom_sameframe[self.geoms].copy()
         self._data, self._active = data, data.eq_active[self.welds].copy()
@@ -55,7 +54,7 @@ class Wall:
         return len(ends) == 2 and bool(ends & bodies)
 
     def remove(self) -> None:
-        self.model.geom_contype[self.geoms] = self.model.geom_conaffinity[self.geoms] = 0
+        self.shift(10.0)  # explicit pairs of a scene know no masks
         self._data.eq_active[self.welds] = 0
 
     def shift(self, distance: float) -> None:
@@ -66,6 +65,5 @@ class Wall:
             model.geom_pos[geom] = place + distance * R.T.dot(self.normal)
 
     def restore(self) -> None:
-        self.model.geom_contype[self.geoms], self.model.geom_conaffinity[self.geoms] = self._masks
         self.model.geom_pos[self.geoms], self.model.geom_sameframe[self.geoms] = self._places, self._same
         self._data.eq_active[self.welds] = self._active
