@@ -79,6 +79,6 @@ def test_row_5_a_wrong_sensor_does_not_drive_the_tool_off(name, how, seed, recor
 @pytest.mark.parametrize("kind", ["contact.lost", "sensor.sign"])
 def test_without_the_guard_the_bars_are_missed(kind, monkeypatch):
     monkeypatch.setattr(wbc.controller, "watch", lambda state, force, grips, lam: Guarded(grips))
-    travel, speed, force, told, _ = faulty("eraser", kind, 0)
+    travel, _, force, told, _ = faulty("eraser", kind, 0)
     assert not any("board: " in why for _, why in told)
     assert np.abs(travel).max() > 0.01 or np.abs(force - 10.0).max() > 5.0

@@ -77,7 +77,8 @@ class Pressed(NamedTuple):
 
 
 class Guarded(NamedTuple):
-    """What is known after a tick, what is to be told, and the contact that has just been lost ("": none)."""
+    """What is known after a tick, what is to be told, and the contact that has just been
+    lost without its reading telling so ("": none)."""
 
     grips: Mapping[str, Grip]
     told: tuple[str, ...] = ()
@@ -102,7 +103,8 @@ def watch(
         now[name], said = _tick(state, name, task, before, lam.get(name))
         if said:
             told = (*told, f"{name}: {said}")
-            if before.lost < 0 <= now[name].lost:
+            # where the force is gone the phase's own way out sees it, two ticks later
+            if before.lost < 0 <= now[name].lost and before.loose + 1 < LOOSE_TICKS:
                 lost = name
     return Guarded(now, told, lost)
 
