@@ -22,6 +22,7 @@ import wbc.controller
 import wbc.inputs
 import wbc.solver
 from wbc.build import build
+from wbc.guard import Guarded
 from wbc.qp import Certificate
 from wbc.spec import load
 
@@ -34,6 +35,7 @@ GUARDS: tuple[tuple[Any, str, Callable[..., Any]], ...] = (
     (wbc.controller, "unit", lambda q, parts: (q, "")),
     (wbc.inputs, "array_fault", lambda *_: ""),
     (wbc.solver, "certify", lambda *_: SOUND),
+    (wbc.controller, "watch", lambda *_: Guarded({})),
 )
 
 

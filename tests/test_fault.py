@@ -87,7 +87,7 @@ def test_a_wrong_line_is_told_in_its_place(text, said, tmp_path):
 
 
 EXPECTED = {  # kind -> (worst status while it lasts, ten ticks)
-    "sensor.dropout": "OK",
+    "sensor.dropout": "LIMITED",  # told by name after five ticks without a reading
     "sensor.nan": "LIMITED",
     "solver.fail": "SAFE_HOLD",
     "solver.x": "SAFE_HOLD",

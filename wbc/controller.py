@@ -14,6 +14,7 @@ import numpy as np
 from .contact import Contact
 from .errors import NameNotFound, StateError
 from .grounds import floors, levels
+from .guard import gripped, watch
 from .handover import hand_over
 from .holding import HELD, Answer, Holding
 from .impedance import NEW, Felt
@@ -260,6 +261,11 @@ class Controller:
                 recall(state, program.phase, memory.loops, memory.felt)
             watch, change = program.phase.exit.step(memory.watch, t - memory.phase_start, state)
             memory = memory._replace(watch=watch)
+        self.recalled = memory
+        if change is None:
+            memory = self._led(state, program, memory, t)
+            if program.force:
+                memory, change = self._guard(state, program, memory, refused)
         if change is None:
             carry(state, program.phase)
         elif change.to == STOP:
@@ -268,11 +274,9 @@ class Controller:
             memory = self._enter(state, memory, change, t, tau_last)
             program = self._programs[memory.phase]
             tau_last = program.phase.torque.inside(tau_last)
-        self.recalled = memory
-        past = 0.0 if memory.t is None else t - memory.t
-        followed, starts = lead_in(program, state, memory.followed, memory.starts, past, self.dt)
-        memory = memory._replace(followed=followed, starts=starts)
-        state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
+        if change is not None:
+            self.recalled = memory
+            memory = self._led(state, program, memory, t)
         if program.phase.compliant:
             memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
         if not program.assemble(state, tau_last, self.dt):
@@ -335,6 +339,7 @@ class Controller:
         return memory._replace(
             phase=index, phase_start=t, starts=starts, loops=loops, watch=NEW_WATCH, why=why, felt=felt,
             grounds=grounds, followed=kept(memory.followed, before.phase, after, starts, state.t),
+            grips=gripped(memory.grips, after.force, before.phase.contacts),
         )  # fmt: skip
 
     def _stop(self, q: Array, v: Array, change: Change) -> Output:
@@ -354,6 +359,23 @@ class Controller:
             felt[name] = state.felt[task] = task.feel(state, state.measured.get(at), tau, memory.felt.get(name, NEW))
         carry_felt(state, phase, felt)
         return felt
+
+    def _led(self, state: State, program: Program, memory: Memory, t: float) -> Memory:
+        """With what the tasks follow at this tick, and the loops of its contacts put into the state."""
+        past = 0.0 if memory.t is None else t - memory.t
+        state.limited, state.gave = {}, {}
+        followed, starts = lead_in(program, state, memory.followed, memory.starts, past, self.dt)
+        state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
+        return memory._replace(followed=followed, starts=starts)
+
+    @staticmethod
+    def _guard(state: State, program: Program, memory: Memory, refused: list[str]) -> tuple[Memory, Change | None]:
+        """What is believed of the contacts that press; the phase's way out where one has just been lost."""
+        found = watch(state, program.force, memory.grips, memory.lam)
+        refused += found.told
+        exit = program.phase.exit
+        change = Change(exit.lost, found.told[0], found.lost) if found.lost and exit and exit.lost else None
+        return memory._replace(grips=found.grips), change
 
     def _accept(
         self, program: Program, state: State, solution: Solution, tau_last: Array, memory: Memory, t: float,
@@ -383,7 +405,7 @@ class Controller:
         self._memory = Memory(
             t, memory.start, memory.phase, memory.phase_start, tau, gravity, state.q.copy(), state.v.copy(), lam, loops,
             state.targets, status, 0, good, memory.starts, memory.watch, memory.why, memory.felt, grounds,
-            memory.stale, memory.followed,
+            memory.stale, memory.followed, memory.grips,
         )  # fmt: skip
         sent = tau - gravity if by_robot else tau.copy()
         return Output(sent, solution.x[slices["vdot"]], wrenches, active, status, reason, solution.certificate)

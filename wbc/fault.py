@@ -16,6 +16,7 @@ from .qp import Array, Problem
 from .sim import Observation, Simulator
 from .solver import Solver
 from .spec.fault import PlannedFault, planned
+from .wall import Wall
 from .wrench import Wrench
 
 Measured = dict[str, Wrench]
@@ -23,9 +24,12 @@ _TURN = np.eye(3)[[1, 2, 0]]
 
 
 class FaultPlan:
-    """The faults of a run, `texts` as in `spec.fault`. `begin` is told every tick, before the simulator is observed."""
+    """The faults of a run, `texts` as in `spec.fault`. `begin` is told every tick, before the simulator is observed.
 
-    def __init__(self, texts: Sequence[str], dt: float, seed: int) -> None:
+    `pressed`: frames of the contacts that press, whose walls may be taken away.
+    """
+
+    def __init__(self, texts: Sequence[str], dt: float, seed: int, pressed: Sequence[str] = ()) -> None:
         self._planned: list[tuple[PlannedFault, int, float]] = []
         for text in texts:
             fault = planned(text)
@@ -36,6 +40,8 @@ class FaultPlan:
         self._t, self.late = 0.0, False
         self.missed = 0  # ticks in a row, so far
         self._resume = -1
+        self._pressed = pressed
+        self._wall: Wall | None = None
 
     def begin(self, tick: int, simulator: Simulator) -> None:
         """Which faults act at this tick; the simulator's own are done to it now."""
@@ -50,8 +56,24 @@ class FaultPlan:
             simulator.spoil(int(self._rng.integers(simulator.robot.nu)))
         if "simulator.reset" in self.now:
             simulator.restart()
+        self._take_away(simulator)
         self.late = tick < self._resume
         self.missed = self.missed + 1 if self.late else self.missed
+
+    def _take_away(self, simulator: Simulator) -> None:
+        """The wall that the robot presses on; one that is not touched yet, as soon as it is."""
+        lost, away = "contact.lost" in self.now, self.now.get("contact.away")
+        if not lost and away is None:
+            if self._wall is not None:
+                self._wall.restore()
+                self._wall = None
+            return
+        if not self._wall:
+            self._wall = Wall(simulator, self._pressed)
+        if lost:
+            self._wall.remove()
+        if away is not None:
+            self._wall.shift(away.value * (self._since[away.kind] + self._dt))
 
     def told(self) -> int:
         """How many ticks the controller was not asked for since it last was."""

@@ -44,7 +44,7 @@ INVARIANTS = {
 TOLERANCE = 1e-6  # of the residuals
 HOLD, GOOD, DEGRADED_AT, STOPPED_AT, DAMPING, UNIT = 5, 10, 3, 20, 10.0, 1e-3  # the ladder's numbers, as promised
 _HELD = (Status.SAFE_HOLD, Status.STOPPED)
-_KEPT = ("loops", "targets", "felt", "grounds", "starts", "phase", "watch", "t", "start")
+_KEPT = ("loops", "targets", "felt", "grounds", "starts", "phase", "watch", "t", "start", "followed", "grips")
 
 
 class Known(NamedTuple):

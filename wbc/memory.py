@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .grounds import Ground
+from .guard import Grip
 from .handover import Start
 from .impedance import Felt
 from .ladder import GOOD_TICKS, Status
@@ -56,3 +57,4 @@ class Memory(NamedTuple):
     grounds: Mapping[str, Ground] = NOTHING  # where feet that measure their force have found the floor
     stale: int = 0  # ticks in a row whose time did not go on
     followed: Mapping[str, Array] = NOTHING  # of motions and forces, so that none jumps (`jump`)
+    grips: Mapping[str, Grip] = NOTHING  # what is believed of the contacts that press

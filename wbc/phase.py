@@ -197,6 +197,9 @@ def hold(state: State, phase: Phase) -> None:
     together = phase.feet.hold(state) if phase.feet is not None else _NONE
     for name, contact in phase.contacts.items():
         state.contacts[name] = together[name] if name in together else contact.hold(state)
+    for name, released in state.released.items():
+        if name in state.contacts:
+            state.contacts[name].rhs -= released.pull
 
 
 def carry(state: State, phase: Phase) -> None:

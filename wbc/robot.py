@@ -88,8 +88,8 @@ class State:
     (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of them;
     `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did; `grounds`:
     contact -> how far above its plane a foot has found the floor [m]; `limited`: contact -> what is followed of a
-    target that has jumped, (k,); `gave`: what of a task gives way at this tick -> why. Valid until the next state is
-    computed from the same `terms`.
+    target that has jumped, (k,); `gave`: what of a task gives way at this tick -> why; `released`: contact that is lost
+    -> `Released`. Valid until the next state is computed from the same `terms`.
     """
 
     __slots__ = (
@@ -108,6 +108,7 @@ class State:
         "measured",
         "primary",
         "q",
+        "released",
         "robot",
         "starts",
         "t",
@@ -134,6 +135,7 @@ class State:
         self.grounds: Mapping[Any, float] = _NO_STARTS
         self.limited: dict[str, Array] = {}
         self.gave: dict[str, str] = {}
+        self.released: Mapping[str, Any] = _NO_STARTS
         self._L: Any = None
 
     def frame(self, name: str) -> Frame:

@@ -82,7 +82,7 @@ def run(
     if spec.tare:
         simulator.tare(controller.state)
     tape = Tape(controller, spec)
-    plan = FaultPlan(spec.plant.faults, dt, seed) if spec.plant.faults else None
+    plan = FaultPlan(spec.plant.faults, dt, seed, _pressed(built.phases)) if spec.plant.faults else None
     if plan is not None:
         plan.spoil(controller)
     broken, began = "", time.perf_counter()
@@ -164,6 +164,13 @@ def _sensitive(phases: Sequence[Phase]) -> dict[str, str]:
     conditions = [each.name for phase in phases if phase.exit is not None for each in phase.exit.until]
     asked = {name.rpartition(".")[0] for name in conditions if name.rpartition(".")[2] in WRENCH_AXES}
     return {name: phase.contacts[name].frame for phase in phases for name in phase.standing if name in asked}
+
+
+def _pressed(phases: Sequence[Phase]) -> list[str]:
+    """Frames of the contacts at which a force is held."""
+    pressing = {task.contact for phase in phases for task in phase.tasks.values() if isinstance(task, ForceTask)}
+    found = [contact.frame for phase in phases for name, contact in phase.contacts.items() if name in pressing]
+    return list(dict.fromkeys(found))
 
 
 def _name(built: Built) -> str:

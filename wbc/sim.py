@@ -128,6 +128,10 @@ class Simulator:
         """A fault on purpose: everything starts again, the clock too."""
         mujoco.mj_resetData(self.model, self.data)
 
+    def body(self, frame: str) -> int:
+        """MuJoCo's number of the body that carries a frame."""
+        return self._places[frame].body
+
     def _warning(self, kind: int) -> str:
         text = mujoco.mju_warningText(kind, self.data.warning[kind].lastinfo)
         return f"{mujoco.mjtWarning(kind).name}: {text.rstrip('.')}"

@@ -208,6 +208,14 @@ class ForceLoop(NamedTuple):
 _NEW_LOOP = ForceLoop()
 
 
+class Released(NamedTuple):
+    """A contact that is lost: (k,) what its rows are pulled back by, and the share of its force that it is felt for
+    with."""
+
+    pull: Array
+    share: float
+
+
 class ForceTask:
     """Force control on a contact: lambda = lambda_d + Kp e + Ki int e - K_damp A V (book 11.36, multipliers).
 
@@ -258,6 +266,11 @@ class ForceTask:
         raise GainError(
             f"{name}: under law: book the gains act on the whole wrench; expected a number or 6 of them, got {len(K)}"
         )
+
+    @property
+    def listens(self) -> bool:
+        """Whether it goes by what is measured."""
+        return bool(self.Kp.any() or self.Ki.any()) or self._held_by.feedforward == "measured"
 
     def smoothing(self, dt: float) -> float:
         """alpha of the first-order filter s += alpha (F - s)."""
@@ -330,6 +343,8 @@ class ForceTask:
 
     def rows(self, state: State) -> Rows:
         held: Held = state.contacts[self.contact]
+        if self.contact in state.released:
+            return self._let_go(state, held, state.released[self.contact].share)
         command, cut = self.desired(state), ""
         if held.cone is not None:
             command, cut = held.cone.cut(command)  # a target that no contact could answer is no error
@@ -362,6 +377,15 @@ class ForceTask:
             cut = cut or short
         state.loops[self.contact] = ForceLoop(filtered, integral, yielded, None, error, asked, cut, holds, tank)
         return Rows("", {self.contact: None}, command, command, metric)
+
+    def _let_go(self, state: State, held: Held, share: float) -> Rows:
+        """A share of the target is asked of a contact that is lost, and nothing is learnt from it."""
+        loop, command, error = state.loops[self.contact], share * self.desired(state), np.zeros(self.Kp.shape[0])
+        if held.cone is not None:
+            command, _ = held.cone.cut(command)
+        integral = loop.integral if loop.integral.size == error.size else error
+        state.loops[self.contact] = ForceLoop(loop.filtered, integral, error=error, command=command)
+        return Rows("", {self.contact: None}, command, command, mobility(state, held.G))
 
     def advance(self, state: State, lam: Array) -> ForceLoop:
         """The memory for the next tick, from the multipliers (k,) that the limits allowed."""

@@ -191,7 +191,7 @@ class Episode:
             return out
         if not np.isfinite(max(out.certificate)):
             return out  # of a refused tick the ladder goes on
-        for name in ("tau", "loops", "lam", "felt", "phase", "grounds", "watch"):
+        for name in ("tau", "loops", "lam", "felt", "phase", "grounds", "watch", "followed", "grips"):
             same = mark(getattr(after, name)) == mark(getattr(never, name))
             told = f"{kind}: another {name}"
             if name == "tau" and not same:

@@ -5,7 +5,7 @@ Plain loops over small dense arrays; the theory is told where they are called. S
 
 from .algebra import gauss, inverse, minimum, mobility, within
 from .contact import carried, demand, demands, edge, height, rolling, select, settle, share, wanted
-from .force import advance, feedback, sense, spring
+from .force import advance, feedback, press, sense, spring
 from .jump import approach, jumped
 from .limit import braking_bounds, torque_window
 from .motion import carried_along, computed_torque, frames, log, point_target, pose_errors, relative, shift
@@ -41,6 +41,7 @@ __all__ = [
     "mobility",
     "point_target",
     "pose_errors",
+    "press",
     "relative",
     "residuals",
     "rolling",

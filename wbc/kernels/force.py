@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from .compiled import NOTHING, TRUTH, Array, F, V, compiled, m, v
 
 
@@ -75,3 +77,46 @@ def advance(
         short += missing[i] * missing[i]
         size += command[i] * command[i]
     return short <= 1e-14 * size
+
+
+@compiled(NOTHING, v, m, m, v, v, v, v, F, V, V)
+def press(
+    measured: Array, inverse: Array, A: Array, lam: Array, offset: Array, desired: Array, slip: Array, alpha: float,
+    grown: Array, out: Array,
+) -> None:  # fmt: skip
+    """How a reading fits to what was pressed with: `out` is (measured, asked, wanted force, speed, surprise).
+
+    Along the force of A' desired [N]: the measured force, that of the last multipliers `lam`, the desired one, and the
+    speed [m/s] of the frame; then |f| [N] of A' (lambda_m - lam - offset), lambda_m = (A')^+ F. `grown` = offset +
+    alpha (lambda_m - lam - offset).
+    """
+    k = lam.size
+    had, asked, wanted, odd = 0.0, 0.0, 0.0, 0.0
+    for j in range(3, 6):
+        f_m, f_c, f_d, f_e = 0.0, 0.0, 0.0, 0.0
+        for i in range(k):
+            read = 0.0
+            for n in range(6):
+                read += inverse[i, n] * measured[n]
+            f_m += A[i, j] * read
+            f_c += A[i, j] * lam[i]
+            f_d += A[i, j] * desired[i]
+            f_e += A[i, j] * (read - lam[i] - offset[i])
+        had += f_m * f_d
+        asked += f_c * f_d
+        wanted += f_d * f_d
+        odd += f_e * f_e
+    for i in range(k):
+        read = 0.0
+        for n in range(6):
+            read += inverse[i, n] * measured[n]
+        grown[i] = offset[i] + alpha * (read - lam[i] - offset[i])
+    size = math.sqrt(wanted)
+    power = 0.0
+    for i in range(k):
+        power += desired[i] * slip[i]
+    out[2], out[4] = size, math.sqrt(odd)
+    if size > 0.0:
+        out[0], out[1], out[3] = had / size, asked / size, power / size
+    else:
+        out[0] = out[1] = out[3] = 0.0

@@ -2,7 +2,8 @@
 
     WHAT.HOW [VALUE] at TIME [for DURATION | for ever]        as in  sensor.dropout at 1.2 for 0.1
 
-TIME and DURATION in seconds, or as `tick N` and `N ticks`; without a duration it fails for one tick.
+TIME and DURATION in seconds, or as `tick N` and `N ticks`; without a duration it fails for one tick (a contact:
+for ever).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ class Kind(NamedTuple):
 
     value: float | None
     told: str
+    lasts: bool = False  # for ever, where no duration is given
 
 
 KINDS = {
@@ -36,6 +38,8 @@ KINDS = {
     "sensor.saturation": Kind(5.0, "largest force that is measured [N]"),
     "sensor.sign": Kind(None, "every wrench is turned round"),
     "sensor.frame": Kind(None, "its axes are taken for one another: x for y, y for z, z for x"),
+    "contact.lost": Kind(None, "what the robot presses on is gone", lasts=True),
+    "contact.away": Kind(0.3, "speed at which what the robot presses on moves away [m/s]", lasts=True),
     "solver.fail": Kind(None, "it raises"),
     "solver.x": Kind(1e-3, "what is added to an entry of its answer"),
     "solver.signs": Kind(None, "its multipliers have the other sign"),
@@ -91,7 +95,11 @@ def planned(text: str) -> PlannedFault:
         math.nan if value is None else value,
         start=_number(part["at"], "a time [s]") if part["at"] else 0.0,
         tick=int(part["tick"] or -1),
-        duration=math.inf if part["ever"] else _number(part["span"], "a duration [s]") if part["span"] else 0.0,
+        duration=math.inf
+        if part["ever"] or (kind.lasts and not (part["span"] or part["ticks"]))
+        else _number(part["span"], "a duration [s]")
+        if part["span"]
+        else 0.0,
         ticks=int(part["ticks"] or -1),
     )
 
