@@ -31,10 +31,10 @@ Mask = NDArray[np.bool_]
 TOLERANCE = 1e-6  # of rows of norm 1 that together still have an answer
 FAR = 1e6  # [rad/s^2, m/s^2, N, N m] a certificate excludes every x within
 SHARE = 1e-9  # of the largest y: less is rounding
-PENALTY = 1e4  # of rows of norm 1 that give way, over that of one name
 # of HiGHS; a number of threads would be that of all its programs in the process
 OPTIONS: dict[str, Any] = {
     "output_flag": False, "presolve": "off", "parallel": "off", "simplex_scale_strategy": 0,
+    "simplex_dual_edge_weight_strategy": 1,
     "small_matrix_value": 1e-12, "primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9,
 }  # fmt: skip
 
@@ -100,7 +100,7 @@ class System:
         shown, found = self._contradiction(among), list[Member]()
         if shown is None:
             return found
-        frees = self._frees(shown.y, among)
+        frees = self._frees(shown, among)
         names, y = self._irreducible(shown, frees)
         for name in sorted(names, key=lambda each: each not in frees):
             own = np.flatnonzero(self._of == self._number[name])
@@ -109,23 +109,18 @@ class System:
             found.append(Member(name, row, upper, frees.get(name, np.inf), name in frees))
         return found
 
-    def _frees(self, y: Array, among: Sequence[str]) -> dict[str, float]:
+    def _frees(self, shown: Shown, among: Sequence[str]) -> dict[str, float]:
         """Names without which all others hold, and what each needs: they stand in every contradiction."""
-        everywhere, needs = self._involved(y), dict[str, float]()
+        everywhere, needs = self._involved(shown.y), dict[str, float]()
+        seen = self._pointed(shown, among)
         for name in tuple(everywhere):
             if name not in everywhere:
                 continue
-            need = self._relaxation(name, among, PENALTY)
-            if need is None:
-                other = self._contradiction([each for each in among if each != name])
-                if other is None:
-                    need = self._relaxation(name, among)
-                    if need is None:
-                        raise SolverError(f"HiGHS found no least relaxation of {name} that holds")
-                else:
-                    everywhere = self._shared(everywhere, other)
-            if need is not None:
-                needs[name] = need
+            other = None if name in seen else self._contradiction([each for each in among if each != name])
+            if other is not None:
+                everywhere = self._shared(everywhere, other)
+            else:
+                needs[name] = self._relaxation(name, among)
         return needs
 
     def _shared(self, names: Sequence[str], shown: Shown) -> list[str]:
@@ -133,21 +128,16 @@ class System:
         involved = set(self._involved(shown.y))
         return [each for each in names if each in involved]
 
-    def _relaxation(self, name: str, names: Sequence[str], penalty: float = 0.0) -> float | None:
-        """By how much the rows of one name must give way for those of the others to hold, where they can.
-
-        With a `penalty` the others may give way at that price: then it is found, or nothing is known, in one program.
-        """
+    def _relaxation(self, name: str, names: Sequence[str]) -> float:
+        """By how much the rows of one name must give way for those of the others to hold, where they can."""
         counting, number = self._counting(names), self._number[name]
         give = np.where(self._of == number, self._give, 0.0)
-        for z, y, w in self._answers(counting, number, penalty):
+        for z, y, w in self._answers(counting, number):
             s = float(z[self._slack[number]])
             bound, _ = self._bound(y, w)
             if self._missed(z, counting, give * s) <= TOLERANCE and s - bound <= TOLERANCE * (1.0 + s):
                 return s
-            if penalty:
-                break
-        return None
+        raise SolverError(f"HiGHS found no least relaxation of {name} that holds")
 
     def _irreducible(self, shown: Shown, needed: Collection[str]) -> tuple[tuple[str, ...], Array]:
         """Names of an irreducible set among those of a contradiction, the largest share first, and its multipliers;
@@ -217,13 +207,11 @@ class System:
         their rounding may put it where no |x| exceeds `FAR`."""
         return -float(y @ self._b + w @ self._e), FAR * float(np.abs(y @ self._A + w @ self._E).sum())
 
-    def _answers(self, counting: Mask, least: int, penalty: float = 0.0) -> Iterator[tuple[Array, Array, Array]]:
-        """z = (x, s, t) of the least of one slack, and of t where that has a `penalty`; and multipliers of rows and
-        equalities: from the last vertex, then from none."""
+    def _answers(self, counting: Mask, least: int) -> Iterator[tuple[Array, Array, Array]]:
+        """z = (x, s, t) of the least of one slack, and multipliers of rows and equalities: from the last vertex, then
+        from none."""
         most, cost = np.append(np.where(counting, 0.0, np.inf), 0.0), np.zeros(self._slack.size)
         most[least], cost[least] = np.inf, 1.0
-        if penalty:
-            most[-1], cost[-1] = np.inf, penalty
         self._highs.changeColsBounds(most.size, self._slack, np.zeros(most.size), most)
         self._highs.changeColsCost(most.size, self._slack, cost)
         for _ in range(2):
