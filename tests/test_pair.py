@@ -294,7 +294,7 @@ class TestFixedBase:
         path = Path(TILTED, {3: sine(0.1, 2), 4: sine(0.05, 1)})
         tasks = {
             "press": ForceTask("board", contact, np.array([-5.0]), 0.3, 10.0, 50.0, 50.0, law=law),
-            "draw": MotionTask("flange", path, 100.0, 20.0, contact.free_axes, "board", law),
+            "draw": MotionTask("flange", path, 100.0, 20.0, contact.free_axes, "board", law, singular=0.0),
             "posture": PostureTask(robot.keyframes["home"]),
         }
         ctl = Controller(robot, {"board": contact}, tasks, FREE)

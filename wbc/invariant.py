@@ -41,7 +41,7 @@ INVARIANTS = {
     "clock": "the controller's time is the caller's and does not run backwards",
     "memory": "what is remembered, and what the caller owns, is not written to",
 }
-TOLERANCE = 1e-6  # of the residuals
+TOLERANCE, ROUNDING = 1e-6, 2e-15  # of the residuals; of a multiplier times a row
 HOLD, GOOD, DEGRADED_AT, STOPPED_AT, DAMPING, UNIT = 5, 10, 3, 20, 10.0, 1e-3  # the ladder's numbers, as promised
 _HELD = (Status.SAFE_HOLD, Status.STOPPED)
 _KEPT = ("loops", "targets", "felt", "grounds", "starts", "phase", "watch", "t", "start", "followed", "grips")
@@ -216,7 +216,9 @@ class Watched:
             primal = certificate(program.last.problem, solution.x, solution.z)[0]
             residuals = (primal / (1.0 + np.abs(solution.x).max()), 0.0, 0.0)
         told = ", ".join(f"{r:.2e}" for r in residuals)
-        holds = all(r <= 1.01 * TOLERANCE for r in residuals)
+        problem = program.last.problem
+        size = float(np.abs(solution.z).max() * max(np.abs(problem.C).dot(np.abs(solution.x)).max(initial=1.0), 1.0))
+        holds = all(r <= 1.01 * TOLERANCE + ROUNDING * size for r in residuals)  # two ways to sum differ by as much
         self._hold(
             "certificate",
             holds,
@@ -263,6 +265,8 @@ class Watched:
         self._hold("integral", 0.0 <= state.dt <= 2.0 * dt * (1.0 + 1e-9), f"a period of {state.dt:g} s")
         for name, loop in after.loops.items():
             was, now = before.loops.get(name), state.loops.get(name)
+            if name in before.grips and before.grips[name].lost >= 0 > after.grips[name].lost:
+                continue  # pressed on again: it begins with what presses
             if was is not None and now is not None and was.integral.shape == loop.integral.shape == now.error.shape:
                 grown = np.abs(loop.integral - was.integral) - 2.0 * dt * np.abs(now.error) * (1.0 + 1e-9)
                 rounding = 1e-12 * (1.0 + np.abs(loop.integral).max(initial=0.0))

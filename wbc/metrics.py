@@ -153,8 +153,9 @@ def metrics(log: Log, phases: Sequence[Any], settle: float) -> dict[str, float]:
             out |= _errors(f"{name}.{screw}", log[f"{name}.along"][late][:, i])
         out[f"{name}.speed.max"] = float(speed[late].max()) if late.any() else math.nan
         beyond = (speed - log[f"{name}.desired_speed"])[always]
-        told = log[f"{name}.singular"][always]
-        out[f"{name}.singular.min"] = float(np.nanmin(told)) if np.isfinite(told).any() else math.nan
+        if f"{name}.singular" in log:
+            told = log[f"{name}.singular"][always]
+            out[f"{name}.singular.min"] = float(np.nanmin(told)) if np.isfinite(told).any() else math.nan
         out[f"{name}.overshoot"] = float(max(0.0, beyond.max())) if always.any() else math.nan
     for name, task in tasks.items():
         if isinstance(task, GazeTask | MomentumTask) and f"{name}.{_LOGGED[type(task)]}" in log:
