@@ -27,7 +27,6 @@ from wbc.tape import CODEC
 pytestmark = pytest.mark.row(15)
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
-pytestmark = pytest.mark.row(15)
 SEEDS = [int(os.environ["WBC_SEED"])] if "WBC_SEED" in os.environ else range(1000)
 DT, TICKS, LATE = 1e-3, 400 if LARGE else 250, 20
 

@@ -23,7 +23,6 @@ from wbc.wrench import Wrench
 pytestmark = pytest.mark.row(14)
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
-pytestmark = pytest.mark.row(14)
 SEEDS = [int(os.environ["WBC_SEED"])] if "WBC_SEED" in os.environ else range(20 if LARGE else 2)
 MOST = bars.WIND_UP  # times the impact without a wait
 WAIT = 10.0  # [s]
