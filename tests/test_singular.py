@@ -262,8 +262,9 @@ def test_it_is_told(record_property):
     ran = runs.result("eraser", "duration=0.3")
     built = build(load("eraser"))
     task, log = built.phases[0].tasks["draw"], ran.log
-    state = built.robot.state(log["q"][-1], log["v"][-1])
-    built.controller.reset(log["q"][-1], log["v"][-1])
+    q, v = log["q"][-1].copy(), log["v"][-1].copy()  # those of a shared run may be read-only
+    state = built.robot.state(q, v)
+    built.controller.reset(q, v)
     for name, contact in built.phases[0].contacts.items():
         state.contacts[name] = contact.hold(state)
     G = state.contacts["board"].stack

@@ -8,6 +8,7 @@ MuJoCo; `WBC_SEED` picks one.
 from __future__ import annotations
 
 import os
+from functools import partial
 from array import array
 
 import bars
@@ -110,7 +111,7 @@ def press(seed, bounded=None, law=Bounded.press):
     return story
 
 
-def follow(seed, bounded=None, law=Bounded.comply):
+def follow(seed, bounded=None, law=Bounded.comply, ticks=TICKS):
     """A mass that an admittance moves by a wrench that is late; an arm follows it late, and a hand holds the arm."""
     rng = np.random.default_rng([seed, 3])
     delay, M, K = int(rng.integers(1, LATE + 1)), rng.uniform(1.0, 5.0), rng.uniform(0.0, 300.0)
@@ -120,7 +121,7 @@ def follow(seed, bounded=None, law=Bounded.comply):
     got = [0.0] * (delay - 1)  # by the push, what is not yet measured
     x = v = at = speed = goal = pace = 0.0  # the mass, the arm, and where the hand wants it
     wanted, felt, asked, tank, story, left = K, [0.0] * delay, [0.0] * delay, None, Story(), bounded.energy
-    for tick in range(TICKS):
+    for tick in range(ticks):
         if tick and (adverse or rng.random() < 0.02):
             wanted = stiffness(rng, K, x, v, adverse)
         if rng.random() < 0.02:
@@ -173,7 +174,9 @@ def open_valve(bounded, tank, *given):
     return Bounded.press(bounded, tank, *given)._replace(valve=1.0)
 
 
-@pytest.mark.parametrize(("model", "law"), [(spring, unpaid), (press, open_valve), (follow, unpaid)])
+@pytest.mark.parametrize(
+    ("model", "law"), [(spring, unpaid), (press, open_valve), (partial(follow, ticks=400), unpaid)]
+)
 def test_without_its_valve_a_tank_is_overdrawn(model, law):
     """The control: the thousand runs ask for more than there is, and the sum says so."""
     stories = [model(seed, law=law) for seed in range(20)]
