@@ -8,8 +8,8 @@ MuJoCo; `WBC_SEED` picks one.
 from __future__ import annotations
 
 import os
-from functools import partial
 from array import array
+from functools import partial
 
 import bars
 import numpy as np
