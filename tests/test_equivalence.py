@@ -117,7 +117,8 @@ def motion_task(
     along = {i: sine(rng.uniform(0.02, 0.1), rng.uniform(1, 3), rng.uniform(0, 6)) for i in robot.axes(frame)}
     unnamed = not axes or not set(axes) <= set(VELOCITY_AXES)
     kp, kd = gain(rng, len(axes), 100.0, unnamed), gain(rng, len(axes), 20.0, unnamed)
-    return MotionTask(frame, Path(home, along), kp, kd, axes, contact, law, robot.axes(frame))
+    path = Path(home, along)
+    return MotionTask(frame, path, kp, kd, axes, contact, law, robot.axes(frame), singular=0.0)
 
 
 def posture_task(rng: np.random.Generator, robot: Robot) -> PostureTask:
