@@ -56,9 +56,9 @@ class Moving(MatrixContact):
         return self._hold(state, self._A, self._free, self._inverse, self._basis, self._zero)
 
 
-def violation(C, lo, hi, E=None, e=None, solvers=SOLVERS):
+def violation(C, lo, hi, E=None, e=None, solvers=SOLVERS, within=np.inf):
     """The least t by which all rows, scaled to a norm of 1, must give way for some x with E x = e: measured of the x of
-    the first solver that has one, not a number where none has."""
+    the first solver that has one no larger than `within`, not a number where none has."""
     up, down = np.isfinite(hi), np.isfinite(lo)
     A, b = np.concatenate((C[up], -C[down])), np.concatenate((hi[up], -lo[down]))
     norm = np.maximum(np.linalg.norm(A, axis=1), 1e-12)
@@ -77,14 +77,17 @@ def violation(C, lo, hi, E=None, e=None, solvers=SOLVERS):
             found = solve_problem(program, solver, **accuracy)
         if found.found:
             x = far * found.x[:n]
+            if np.abs(x).max(initial=0.0) > within:
+                continue
             return max((A @ x - b).max(initial=0.0), np.abs(E @ x - e).max(initial=0.0))
     return np.nan
 
 
-def answered(*rows):
-    """Whether some x satisfies the rows, to `TOLERANCE`. Interior points lose answers that are far away (|x| of 1e6 and
-    more); a point of whatever origin is a proof, for it is measured."""
-    return violation(*rows) <= TOLERANCE or any(violation(*rows, solvers=(one,)) <= TOLERANCE for one in FAR)
+def answered(*rows, within=np.inf):
+    """Whether some x, no larger than `within`, satisfies the rows, to `TOLERANCE`. Interior points lose answers that
+    are far away (|x| of 1e6 and more); a point of whatever origin is a proof, for it is measured."""
+    tried = (SOLVERS, *((one,) for one in FAR))
+    return any(violation(*rows, solvers=solvers, within=within) <= TOLERANCE for solvers in tried)
 
 
 def missed(controller):

@@ -34,6 +34,7 @@ class Run(NamedTuple):
     most: int
 
 
+CLEAR = 1e-4  # by how much bounds of rows of norm 1 give way to an infeasible program that stays one
 EIGHT = "g1 on eight points"  # G1 on a point in every corner of its soles: 24 rows of rank 12
 _WEAK = "phases.weak.set={limits.torque.scale: "
 RECIPE = (
@@ -76,11 +77,24 @@ def make(recipe: Sequence[Run] = RECIPE, progress: Callable[[int], None] | None 
             own = kind in ("redundant", "ill-scaled")  # what no status of a tick tells
             met = [item for item in record(built, most=4 * most) if own or item.kind == kind]
             met = [item for item in met if (item.kind == INFEASIBLE) == (kind == INFEASIBLE)]
+            met = [item for item in met if kind != INFEASIBLE or _clearly_infeasible(item.problem)]
             chosen = np.unique(np.linspace(0, len(met) - 1, min(most, len(met))).round().astype(int))
             found += [met[i]._replace(kind=kind) for i in chosen]
             if progress is not None:
                 progress(done)
     return found
+
+
+def _clearly_infeasible(problem: Problem) -> bool:
+    """Whether nothing satisfies it, by more than a solver's tolerance: what is in between is neither."""
+    from ..conflict import System
+
+    n = problem.g.size
+    rows = np.concatenate((np.eye(n), problem.C))
+    give = CLEAR * np.maximum(np.linalg.norm(rows, axis=1), 1.0)
+    names = ["all"] * len(rows)
+    system = System(rows, problem.lo - give, problem.hi + give, names, np.zeros((0, n)), np.zeros(0))
+    return not system.feasible(["all"])
 
 
 def _eight_points(folder: Path) -> Path:
