@@ -29,7 +29,7 @@ from wbc.run import run
 from wbc.spec import load
 
 ONE = os.environ.get("WBC_SEED")
-COUNT = 1000 if os.environ.get("WBC_CAMPAIGN") == "large" else 3 * len(KINDS)
+COUNT = 1000 if os.environ.get("WBC_CAMPAIGN") == "large" else 2 * len(KINDS)
 
 
 class Rows:

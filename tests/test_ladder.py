@@ -487,3 +487,13 @@ def test_what_may_follow_what():
     assert Status.SAFE_HOLD not in FOLLOWS[Status.STOPPED]
     assert {each for each in Status if Status.SAFE_HOLD in FOLLOWS[each]} == {Status.DEGRADED, Status.SAFE_HOLD}
     assert all(Status.STOPPED in follows for follows in FOLLOWS.values())
+
+
+def test_an_array_whose_dtype_is_another_object_is_as_good(panda):
+    """That of an array of another process, or one with metadata, equals float64 and is not the same object."""
+    other = np.dtype("f8", metadata={"from": "elsewhere"})
+    assert other is not np.dtype(np.float64)
+    made = wbc.Controller(panda)
+    q, v = (np.asarray(x, dtype=other) for x in (panda.keyframes["home"], np.zeros(7)))
+    made.reset(q, v)
+    assert made.step(0.0, q, v).status is not Status.DEGRADED

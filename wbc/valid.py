@@ -16,7 +16,8 @@ _ROUNDING = 1e-12
 
 def array_fault(name: str, value: Any, size: int) -> str:
     """Expected is a finite float64 array of shape (size,), in one piece and writeable, as compiled code takes it."""
-    if type(value) is not np.ndarray or value.dtype is not _FLOAT64 or value.shape != (size,):
+    sound = type(value) is np.ndarray and (value.dtype is _FLOAT64 or value.dtype == _FLOAT64)  # of a pickle, not `is`
+    if not sound or value.shape != (size,):
         got = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
         return f"{name}: expected a float64 array of shape ({size},), got {got}"
     if not value.flags.carray:
