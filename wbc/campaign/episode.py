@@ -155,7 +155,7 @@ class Episode:
         return self._watched.step(**call)
 
     def _resettable(self) -> bool:
-        return not any(kind.startswith("state.") for kind in self._plan.now)
+        return not any(kind.startswith("state.") or kind in ENDING for kind in self._plan.now)
 
     def _twin(self, tick: int, kind: str, call: Given) -> Output:
         """A wrong call, and the same as if it had never been made."""
