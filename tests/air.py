@@ -31,7 +31,7 @@ plant: {{delay: {delay}}}
 
 
 def pressing(folder, height, force, gains=None, duration=1.0, delay=0):
-    """The file: so high [m] above the board, with a force [N] and other keys of the task, answers so many ticks late."""
+    """The file: so high [m] above the board, with a force [N] and other keys of its task, and a delay [ticks]."""
     path = folder / "press.yaml"
     given = {"height": height, "force": force, "duration": duration, "delay": delay}
     path.write_text(PRESS.format(gains="".join(f", {key}: {value}" for key, value in (gains or {}).items()), **given))

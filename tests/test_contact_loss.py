@@ -56,8 +56,8 @@ class Seen(NamedTuple):
     repeat: str
 
     def first(self, *words):
-        """The tick at which one of these was first told."""
-        return next((i for i, (_, why) in enumerate(self.told) if any(word in why for word in words)), 999)
+        """The tick at which one of these was first told, infinite where it was not."""
+        return next((i for i, (_, why) in enumerate(self.told) if any(word in why for word in words)), np.inf)
 
 
 def normal(name, built):
@@ -197,8 +197,8 @@ def test_row_5_a_sensor_that_drifts_until_the_contact_is_left(name, rate, tell):
     reads a force is not believed again, so that nothing is pressed on in the air."""
     seen = faulty(name, f"sensor.drift {rate} at 0.2 for ever", at=0.2, after=min(20.0 / abs(rate), 5.0))
     judge_sensor(seen, tell)
-    assert seen.first("left: ") < 999, seen.repeat
-    assert seen.first(": pressed on again") == 999, seen.repeat
+    assert seen.first("left: ") < np.inf, seen.repeat
+    assert seen.first(": pressed on again") == np.inf, seen.repeat
 
 
 @pytest.mark.row(8)

@@ -168,7 +168,7 @@ def _odd(grip: Grip, at: Pressed) -> bool:
     if grip.held >= HELD_TICKS:
         return at.surprise > gate
     opposite = at.had * at.asked < 0.0 and at.surprise > gate + 0.4 * at.wanted
-    short = at.asked - at.had > at.wanted + gate and abs(at.speed) < STRAYS
+    short = at.had >= LOOSE * at.wanted and at.asked - at.had > at.wanted + gate and abs(at.speed) < STRAYS
     return opposite or short
 
 
