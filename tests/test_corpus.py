@@ -134,6 +134,7 @@ def test_nothing_wrong_is_accepted_and_certified_answers_agree(sample, name):
     row = result["solvers"][name]
     assert result["ok"]
     assert row["accepted_wrong"] == 0
+    assert list(row["growth"]) == [str(n) for n in sorted({i.problem.g.size for i in sample if i.kind != INFEASIBLE})]
     infeasible = row["kinds"][INFEASIBLE]
     assert infeasible["solved"] == 0
     assert infeasible["problems"] == sum(item.kind == INFEASIBLE for item in sample)

@@ -318,6 +318,15 @@ def test_a_buffer_that_the_next_answer_overwrites_is_no_part_of_an_accepted_one(
     np.testing.assert_array_equal(first.z, z)
 
 
+def test_an_accepted_answer_is_plain_numbers():
+    """A mask would leave them out of what is held when there is no answer, though they are what was certified."""
+    problem = strictly_convex(1, 6, 2, 5)
+    solution = answer(Foreign(lambda x, z: (np.ma.array(x, mask=True), np.ma.array(z, mask=True))), problem)
+    assert solution.accepted
+    assert (type(solution.x), type(solution.z)) == (np.ndarray, np.ndarray)
+    np.testing.assert_array_equal(solution.x, exact(problem))
+
+
 def test_exact_answers_of_a_foreign_object_are_accepted():
     assert answer(Foreign(), strictly_convex(1)).accepted
 

@@ -63,8 +63,8 @@ def _attempt(solver: Solver, problem: Problem, tolerance: Certificate) -> Soluti
     kept = [part.copy() for part in parts]
     solution = _certified(solver, problem, tolerance)
     if all(part.tobytes() == before.tobytes() for part, before in zip(parts, kept, strict=True)):
-        # the arrays may be a buffer that its next answer overwrites, accepted or not
-        return solution._replace(x=solution.x.copy(), z=solution.z.copy()) if solution.accepted else solution
+        # plain arrays of our own: its next answer may overwrite these, and a mask would leave out what is certified
+        return solution._replace(x=np.array(solution.x), z=np.array(solution.z)) if solution.accepted else solution
     for part, before in zip(parts, kept, strict=True):
         part[...] = before
     return refused("the solver wrote to the arrays of the problem")

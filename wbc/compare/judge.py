@@ -224,6 +224,7 @@ class _Tally:
 
     def told(self, recorded: Sequence[Recorded]) -> dict[str, Any]:
         certified = np.max([each[:1] + each[2:] for each in self._certified], axis=0) if self._certified else None
+        sizes = [0 if item.kind == INFEASIBLE else item.problem.g.size for item in recorded]
         return self._counts(range(len(recorded))) | {
             "retried": sum(self._retried), "timed_out": sum(self._timed_out), "crashed": sum(self._crashed),
             "timeout": self._timeout,
@@ -233,7 +234,7 @@ class _Tally:
             "accepted_wrong": sum(self._deceived),
             "certified": dict(zip(_CERTIFIED, [None] * 4 if certified is None else certified.tolist(), strict=True)),
             "kinds": {kind: {"problems": len(of)} | self._counts(of) for kind, of in _by([r.kind for r in recorded])},
-            "growth": {str(n): self._percentiles(of)[0] for n, of in sorted(_by([r.problem.g.size for r in recorded]))},
+            "growth": {str(n): self._percentiles(of)[0] for n, of in sorted(_by(sizes)) if n},
         }  # fmt: skip
 
     def _counts(self, members: Sequence[int]) -> dict[str, Any]:

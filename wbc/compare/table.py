@@ -52,7 +52,7 @@ def _kinds(result: Mapping[str, Any]) -> Table:
 def _growth(result: Mapping[str, Any]) -> Table:
     rows = result["solvers"]
     sizes = list(next(iter(rows.values()))["growth"])
-    shown = _table("median [us] by number of unknowns", *sizes)
+    shown = _table("median [us] of feasible programs by number of unknowns", *sizes)
     for name, row in rows.items():
         shown.add_row(name, *(f"{row['growth'][n]:.0f}" for n in sizes))
     return shown
