@@ -316,7 +316,8 @@ def test_an_object_that_cannot_be_pickled_is_asked_in_this_process(recorded):
 
 
 SCRIPT = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
 from wbc.compare import compare, corpus
 from tests.unruly import Loud, Never
 compare(corpus.load()[:5], {"daqp": "daqp", "loud": Loud(), "never": Never(file=sys.argv[1])}, timeout=60.0)

@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 import warnings
+from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
@@ -68,9 +69,11 @@ class Isolated:
             self._end()
 
     def _start(self) -> None:
+        self._pid: int | None = None
         self._channel, theirs = Pipe()
         try:
-            self._pid: int | None = _nursery().fork(theirs.fileno())
+            self._nursery = _nursery()
+            self._pid = self._nursery.fork(theirs.fileno())
         finally:
             theirs.close()
         try:
@@ -110,7 +113,7 @@ class Isolated:
         assert self._pid is not None
         pid, self._pid = self._pid, None
         self._channel.close()
-        return _nursery().end(pid, itself)
+        return self._nursery.end(pid, itself)
 
 
 class _Nursery:
@@ -138,6 +141,8 @@ class _Nursery:
 
     def end(self, pid: int, itself: bool = False) -> str:
         """End a process, or one that ends by itself: how it ended."""
+        if not self.alive:
+            return "with all others"
         status = self._told(-pid if itself else pid)
         code = os.waitstatus_to_exitcode(status)
         return signal.Signals(-code).name if code < 0 else f"exit status {code}"
@@ -157,6 +162,7 @@ class _Nursery:
     def close(self) -> None:
         """End it and all that it forked."""
         self._control.close()
+        self._process.terminate()  # heard as long as it imports
         try:
             self._process.wait(5.0)
         except subprocess.TimeoutExpired:
@@ -181,22 +187,29 @@ def nurse(number: int) -> None:
     """Fork a process for every channel that comes, and end those that are named, until the parent is gone."""
     import qpsolvers  # noqa: F401  with every backend
 
-    control = socket.socket(fileno=number)
-    forked = set[int]()
-    while True:
-        message, channels, _, _ = socket.recv_fds(control, _NUMBER.size, 1)
-        if not message:
-            break
-        if channels:
-            pid = _fork(control, channels[0])
-            forked.add(pid)
-            control.send(_NUMBER.pack(pid))
-        else:
-            (pid,) = _NUMBER.unpack(message)
-            forked.discard(abs(pid))
-            control.send(_NUMBER.pack(_reap(abs(pid), 0.0 if pid > 0 else 1.0)))
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # from now on it ends by the parent's end, and takes all with it
+    control, forked = socket.socket(fileno=number), set[int]()
+    with suppress(OSError):  # nobody waits for the answer any more
+        while _nursed(control, forked):
+            pass
     for pid in forked:
         _reap(pid)
+
+
+def _nursed(control: socket.socket, forked: set[int]) -> bool:
+    """One request; False at the end."""
+    message, channels, _, _ = socket.recv_fds(control, _NUMBER.size, 1)
+    if channels:
+        told = _fork(control, channels[0])
+        forked.add(told)
+    elif message:
+        (pid,) = _NUMBER.unpack(message)
+        forked.remove(abs(pid))
+        told = _reap(abs(pid), 0.0 if pid > 0 else 1.0)
+    else:
+        return False
+    control.send(_NUMBER.pack(told))
+    return True
 
 
 def _fork(control: socket.socket, channel: int) -> int:
@@ -208,6 +221,7 @@ def _fork(control: socket.socket, channel: int) -> int:
         return pid
     try:
         control.close()
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         _serve(Connection(channel))
     finally:
         os._exit(0)
