@@ -265,9 +265,10 @@ def gone(pid, within=5.0):
 
 def test_what_never_answers_is_refused_in_time_and_the_rest_goes_on(recorded, tmp_path):
     file = tmp_path / "pid"
+    compare(recorded[:1], ["daqp"], passes=1)  # starts what processes come from
     began = time.monotonic()
     result = compare(recorded[:25], {"never": Never(file=file), "daqp": "daqp"}, passes=2, timeout=0.2)
-    assert time.monotonic() - began < 30.0  # five problems wait, and the start of processes
+    assert time.monotonic() - began < 15.0  # one to warm up and five problems wait, 0.2 s each
     never, daqp = result["solvers"].values()
     assert (never["refused"], never["timed_out"], never["solved"], never["crashed"]) == (25, 25, 0, 0)
     assert never["us"]["p50"] >= 0.2e6
@@ -340,4 +341,4 @@ def test_who_ends_a_comparison_ends_all_of_it(tmp_path, how):
     assert running.returncode != 0
     assert gone(pid)
     assert err.count("Traceback") == (how == signal.SIGINT)  # that of the script itself
-    assert (out, err.count("hear me") >= 5) == ("", True)
+    assert (out, "hear me" in err) == ("", True)
