@@ -23,7 +23,8 @@ from .jump import kept, lead_in
 from .kernels import torque
 from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status
 from .memory import NEW_WATCH, NOTHING, Memory, Output
-from .phase import Phase, Program, carry, carry_felt, hold, place, recall, settle_posture
+from .phase import Phase, carry, carry_felt, hold, place, recall, settle_posture
+from .program import Program
 from .qp import Array, Workspace
 from .robot import Robot, State, Terms
 from .solver import DEFAULT, Solution, Solver, make

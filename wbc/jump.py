@@ -16,7 +16,8 @@ import pinocchio as pin
 from .handover import Start
 from .kernels import approach, jumped
 from .lead import Lead
-from .phase import Phase, Program
+from .phase import Phase
+from .program import Program
 from .qp import Array
 from .robot import State
 
