@@ -10,6 +10,7 @@ import json
 import math
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -205,18 +206,29 @@ def explain(
     metavar="FILE",
     help="Write the programs to FILE and compare nothing; without SPECS those of the corpus, made again.",
 )
+@click.option(
+    "--timeout",
+    type=float,
+    metavar="SECONDS",
+    help="What a solver has for each program, in a process of its own that is ended when it overruns; 5 when left out.",
+)
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write compare.png, compare.json there.")
 @_SET
 @_JSON
 def compare(
     specs: tuple[str, ...],
     solvers: str,
+    timeout: float | None,
     record: Path | None,
     out: Path | None,
     overrides: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Give quadratic programs to every solver: those that runs of SPECS meet, or that are in files; else the corpus."""
+    """Give quadratic programs to every solver: those that runs of SPECS meet, or that are in files; else the corpus.
+
+    Also to objects of one's own, from Python: wbc.compare.compare(programs, {"mine": object}). One that cannot be
+    pickled is asked in the same process, where no limit ends it.
+    """
     with _faults(specs[0] if specs else "the corpus", as_json):
         from . import compare as comparison
 
@@ -234,7 +246,8 @@ def compare(
             _emit(told, as_json, lambda: _console().print(f"wrote {len(recorded)} quadratic programs to {record}"))
             return
         with _progress("compare", len(recorded)) as progress:
-            result = comparison.compare(recorded, chosen, progress=progress)
+            limit = comparison.TIMEOUT if timeout is None else timeout
+            result = comparison.compare(recorded, chosen, progress=progress, timeout=limit)
         if folder is not None:
             comparison.picture(result, folder / "compare.png")
             (folder / "compare.json").write_text(json.dumps(_plain(result), allow_nan=False) + "\n")
@@ -449,6 +462,9 @@ def _console(err: bool = False) -> Any:
 def _progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+    if not sys.stderr.isatty():
+        yield _told(title, total)
+        return
     with Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -459,6 +475,19 @@ def _progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
     ) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done: bar.update(task, completed=done)
+
+
+def _told(title: str, total: int, every: float = 10.0) -> Callable[[int], None]:
+    """Progress where no bar can be drawn: a line now and then, none of what is done before the first."""
+    last = time.monotonic()
+
+    def tell(done: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= every:
+            last = time.monotonic()
+            click.echo(f"{title}: {done / max(total, 1):.0%}", err=True)
+
+    return tell
 
 
 @contextmanager

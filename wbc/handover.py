@@ -17,7 +17,7 @@ import pinocchio as pin
 from .centroidal import ComTask, DistributionTask, com, middle
 from .dynamics import reaction
 from .lead import SLOPE, Lead, fall, run
-from .phase import Program
+from .program import Program
 from .qp import Array
 from .reference import ALL_AXES, Reference, Sample, advanced, seen_from
 from .robot import State

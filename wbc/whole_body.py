@@ -23,7 +23,8 @@ from .dynamics import inertia, inertia_within, mobility, torque_map
 from .effort import TorqueTask
 from .errors import LawError
 from .handover import SHARING
-from .phase import LAST, Cost, Phase, Program, hold
+from .phase import LAST, Phase, hold
+from .program import Cost, Program
 from .qp import Array, Rows
 from .robot import State
 from .task import ForceTask, MotionTask, PostureTask, Task
