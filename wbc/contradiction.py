@@ -1,0 +1,209 @@
+"""How rows A x <= b contradict one another, beside equalities E x = e: one polyhedron, along whose edges one walks.
+
+Nothing satisfies them if and only if some y >= 0 and w have (Farkas)
+
+    A'y + E'w = 0,     b'y + e'w = -t < 0
+
+Those of one t are a polyhedron. The rows with y > 0 at one of its vertices are an irreducible infeasible set of rows
+(Gleeson and Ryan, 1990); to lower c'y, c >= 0, is to look for one that does without the rows of c. Where the least is 0
+there is one. Otherwise all rows hold that have no c, and the others must give way, for by duality
+
+    min c'y = t / s     with     s = min { s : A x <= b + c s, E x = e }
+
+Whatever is asked is such a cost, and each walk begins where the last one ended. The first vertex is had from HiGHS's
+simplex: the multipliers of min t, A x <= b + t, E x = e, which always has an answer. From there on it is a primal
+simplex on a tableau, of rows without E: with x = x0 + N z and E N = 0,
+
+    (A N)'y = 0,     (b - A x0)'y = -t
+
+Nothing hangs on that arithmetic: multipliers y and points x are measured on the rows as they were given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import SolverError
+from .qp import Array
+
+Mask = NDArray[np.bool_]
+TOLERANCE = 1e-6  # of rows of norm 1 that together still have an answer
+FAR = 1e6  # [rad/s^2, m/s^2, N, N m] a certificate excludes every x within
+SHARE = 1e-9  # of the largest y, of the largest singular value, of a cost: less is rounding
+PIVOT = 1e-9  # the least that a row is divided by
+ROUNDING = 1e-7  # of slopes at the least; what they show is measured
+STUCK = 30  # pivots without a step, after which they are chosen such that none comes back (Bland)
+# of HiGHS; a number of threads would be that of all its programs in the process
+OPTIONS: dict[str, Any] = {
+    "output_flag": False, "presolve": "off", "parallel": "off", "simplex_scale_strategy": 0,
+    "simplex_dual_edge_weight_strategy": 1,
+    "small_matrix_value": 1e-12, "primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9,
+}  # fmt: skip
+
+
+class Contradictions:
+    """Those of rows A x <= b (m,) of norm 1, beside E x = e. `any`: whether there are; the rest has meaning then.
+
+    Raises SolverError where HiGHS has no answer that holds on the rows themselves.
+    """
+
+    def __init__(self, A: Array, b: Array, E: Array, e: Array) -> None:
+        self._A, self._b, self._E, self._e = A, b, E, e
+        self._on, self._inverse = np.ones(len(b), bool), np.linalg.pinv(E)
+        for strategy in (1, 4):  # the dual simplex, then the primal
+            found = self._least_missed(strategy)
+            if found is None:
+                continue
+            self._x, y = found
+            missed = float(self._missed(self._x[:, None])[0])
+            self.any = missed > TOLERANCE
+            if self.any and self.proves(y):
+                self._tabulate(y, missed)
+            if not self.any or self.proves(y):
+                return
+        raise SolverError("HiGHS neither satisfied the constraints nor showed that nothing does")
+
+    def proves(self, y: Array) -> bool:
+        """Whether multipliers of the rows, as measured, exclude every |x| <= `FAR`."""
+        bound, residual = self._bound(y)
+        return bound > FAR * residual
+
+    @property
+    def y(self) -> Array:
+        """(m,) the multipliers at the vertex where one stands."""
+        level = -self._table[:, -1]
+        y = np.zeros(self._b.size)
+        y[self._basis] = np.where(level > SHARE * level.max(), level, 0.0)
+        return np.where(self._on, y, 0.0)
+
+    def within(self, rows: Mask) -> None:
+        """From now on it is contradictions among these rows, such as the one where one stands."""
+        self._on = rows
+        for i in np.flatnonzero(~rows[self._basis]):  # their y is 0: what takes their place moves nothing
+            entries = np.where(rows, np.abs(self._table[i, : rows.size]), 0.0)
+            if (q := int(entries.argmax())) >= 0 and entries[q] > PIVOT:
+                self._pivot(i, q)
+
+    def walk(self, cost: Array) -> Iterator[Array]:
+        """y here, and at each vertex on the way to the least cost'y; cost (m,) >= 0."""
+        yield self.y
+        m, stuck, least = cost.size, 0, -SHARE * cost.max()
+        slope = cost - cost[self._basis] @ self._table[:, :m]
+        while True:
+            slope[~self._on] = slope[self._basis] = 0.0
+            falls = np.flatnonzero(slope < least)
+            if not falls.size:
+                return
+            q = int(falls[0 if stuck > STUCK else slope[falls].argmin()])
+            column = self._table[:, q]
+            rows = np.flatnonzero((column > PIVOT) | ((column < -PIVOT) & ~self._on[self._basis]))
+            if not rows.size:
+                return
+            steps = np.where(self._on[self._basis[rows]], -self._table[rows, -1] / column[rows], 0.0)
+            step = max(steps.min(), 0.0)
+            rows = rows[steps <= step + 1e-12]
+            i = int(rows[self._basis[rows].argmin() if stuck > STUCK else np.abs(column[rows]).argmax()])
+            self._pivot(i, q)
+            slope -= slope[q] * self._table[i, :m]
+            stuck = 0 if step > 1e-12 else stuck + 1
+            if not stuck:
+                yield self.y
+
+    def needs(self, costs: Array) -> Array:
+        """(k,) the least s of each cost (k, m); nan where it is not shown here, as c'y is not at its least."""
+        m, y = self._b.size, self.y
+        priced = costs[:, self._basis] @ self._table  # (A N)'xi beside c'y, of which the slopes are
+        slopes, share = (costs - priced[:, :m])[:, self._on], costs @ y
+        found = np.full(len(costs), np.nan)
+        here = np.flatnonzero((slopes.min(axis=1, initial=0.0) >= -ROUNDING) & (share > 0.0))
+        s = self._t / -priced[here, -1]
+        z = priced[here, m:-1].T * s
+        x = self._x[:, None] + self._N @ z
+        x -= self._inverse @ (self._E @ x - self._e[:, None])
+        over = (self._A @ x - self._b[:, None] - costs[here].T * s)[self._basis]
+        z_more = -(self._table[:, m:].T @ over)  # of a far x rounding leaves something at rows that it should be at
+        x += self._N @ (z_more[:-1] + z * z_more[-1] / self._t)
+        s *= 1.0 + z_more[-1] / self._t
+        shown = (self._missed(x, costs[here].T * s) <= TOLERANCE) & (
+            s - self._bound(y)[0] / share[here] <= TOLERANCE * (1.0 + s)
+        )
+        found[here[shown]] = s[shown]
+        return found
+
+    def refresh(self) -> None:
+        """The tableau anew, without what rounding added to it."""
+        self._enter(self._basis)
+
+    def _bound(self, y: Array) -> tuple[float, float]:
+        """-(b'y + e'w) and the sum of |A'y + E'w|, with the w that makes it least."""
+        pull = y @ self._A
+        w = -(pull @ self._inverse)
+        return -float(y @ self._b + w @ self._e), float(np.abs(pull + w @ self._E).sum())
+
+    def _missed(self, x: Array, more: Array | float = 0.0) -> Array:
+        """(k,) by how much each x (n, k) misses the rows, which get `more` (m, k), and the equalities."""
+        over = (self._A @ x - self._b[:, None] - more)[self._on]
+        return np.maximum(over.max(axis=0, initial=0.0), np.abs(self._E @ x - self._e[:, None]).max(axis=0, initial=0.0))
+
+    def _tabulate(self, y: Array, missed: float) -> None:
+        """The tableau [B^-1 M, B^-1] of M y = (0, .., -1) at the vertex of these multipliers."""
+        null = np.eye(self._E.shape[1]) - self._inverse @ self._E
+        _, size, V = np.linalg.svd(self._A @ null, full_matrices=False)
+        self._N, self._t = V[size > SHARE * size[0]].T, missed
+        M = np.concatenate((self._A @ self._N, ((self._b - self._A @ self._x) / missed)[:, None]), axis=1).T
+        self._whole = np.concatenate((M, np.eye(len(M))), axis=1)
+        order = np.argsort(-y)
+        self._enter(order[y[order] > SHARE * y.max()])
+
+    def _enter(self, first: Array) -> None:
+        """A basis with these columns as far as they are independent, and the tableau of it."""
+        self._table, m = self._whole.copy(), self._b.size
+        self._basis, vacant = np.zeros(len(self._table), np.intp), np.ones(len(self._table), bool)
+        for q in first:
+            i = int(np.where(vacant, np.abs(self._table[:, q]), 0.0).argmax())
+            if abs(self._table[i, q]) > PIVOT:
+                self._pivot(i, q)
+                vacant[i] = False
+        while vacant.any():
+            i, q = divmod(int(np.where(vacant[:, None], np.abs(self._table[:, :m]), 0.0).argmax()), m)
+            self._pivot(i, q)
+            vacant[i] = False
+
+    def _pivot(self, i: int, q: int) -> None:
+        """Column q takes the place of the i-th of the basis."""
+        row, column = self._table[i] / self._table[i, q], self._table[:, q].copy()
+        self._table -= column[:, None] * row
+        self._table[i] = row
+        self._basis[i] = q
+
+    def _least_missed(self, strategy: int) -> tuple[Array, Array] | None:
+        """The x of the least t and the multipliers of the rows; None where HiGHS finds none."""
+        import highspy  # as in `solver`: where it is used
+
+        m, n = self._A.shape
+        rows = np.zeros((m + len(self._E), n + 1))
+        rows[:m, :n], rows[:m, n], rows[m:, :n] = self._A, -1.0, self._E
+        program, there = highspy.HighsLp(), rows != 0.0
+        program.num_row_, program.num_col_ = rows.shape
+        program.col_cost_ = np.append(np.zeros(n), 1.0)
+        program.col_lower_ = np.append(np.full(n, -np.inf), 0.0)
+        program.col_upper_ = np.full(n + 1, np.inf)
+        program.row_lower_ = np.concatenate((np.full(m, -np.inf), self._e))
+        program.row_upper_ = np.concatenate((self._b, self._e))
+        program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+        program.a_matrix_.start_ = np.concatenate(([0], there.sum(axis=1).cumsum())).astype(np.int32)
+        program.a_matrix_.index_ = there.nonzero()[1].astype(np.int32)
+        program.a_matrix_.value_ = rows[there]
+        highs: Any = highspy.Highs()  # type: ignore[no-untyped-call]
+        for option, value in {**OPTIONS, "simplex_strategy": strategy}.items():
+            highs.setOptionValue(option, value)
+        highs.passModel(program)
+        highs.run()
+        if highs.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+            return None
+        found = highs.getSolution()
+        return np.array(found.col_value)[:n], np.maximum(-np.array(found.row_dual)[:m], 0.0)
