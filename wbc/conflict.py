@@ -12,11 +12,12 @@ rows would have to give way.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .contradiction import Contradictions, Mask
 from .errors import SolverError
@@ -69,7 +70,7 @@ class System:
         """Names of an irreducible infeasible set, the largest share first; none where all hold together."""
         if not self._contradict(among):
             return ()
-        return tuple(self.names[i] for i in self._irreducible(()))
+        return tuple(self.names[i] for i in self._irreducible({}))
 
     def members(self, among: Sequence[str] | None = None) -> list[Member]:
         """The same with what is to be told of each, those first that stand in every conflict."""
@@ -108,60 +109,51 @@ class System:
     def _frees(self) -> dict[int, float]:
         """Names without which all others hold, and what each needs: they stand in every contradiction."""
         left, needs = self._involved(self._contradictions.y), dict[int, float]()
-        while left:
-            needs.update(self._needs(left))
-            left = self._elsewhere([i for i in left if i not in needs])
+        while left.size:
+            left = self._judged(left, needs)
         return needs
 
-    def _irreducible(self, needed: Collection[int]) -> list[int]:
+    def _irreducible(self, needed: Mapping[int, float]) -> NDArray[np.intp]:
         """Names of an irreducible set among those of the contradiction where one stands, the largest share first; then
         one stands where it is shown. Of `needed` it is known that nothing contradicts without them."""
-        every, known = self._contradictions, set(needed)
+        every, known = self._contradictions, dict(needed)
         while True:
             names = self._involved(every.y)
             every.within(self._mask(names)[self._of])
-            left = [i for i in names if i not in known]
-            known.update(self._needs(left))
-            left = [i for i in left if i not in known]
-            if not left:
+            left = names[[i not in known for i in names]]
+            if not left.size:
                 return names[::-1]
-            self._elsewhere(left)
+            self._judged(left, known)
 
-    def _elsewhere(self, names: list[int]) -> list[int]:
-        """Those of the names that stand in another contradiction as well, had on the way to one without the first; all
-        where none does without."""
-        every = self._contradictions
-        for _ in range(2 * bool(names)):
-            for y in every.walk(self._share[names[0]]):
-                involved = set(self._involved(y))
-                if not involved.issuperset(names) and every.proves(y):
-                    return [i for i in names if i in involved]
-            if self._needs(names[:1]):
-                return names
+    def _judged(self, names: NDArray[np.intp], needs: dict[int, float]) -> NDArray[np.intp]:
+        """Those of the names that are left to be judged on the way to a contradiction without the first: some drop out as
+        another contradiction does without them, or as what they need is found, the first at the latest."""
+        every, shares = self._contradictions, self._share[names]
+        for _ in range(2):
+            for y in every.walk(shares[0]):
+                there = shares @ y > 0.0
+                if not there.all() and every.proves(y):
+                    return names[there]
+            found = every.needs(shares)
+            shown = np.isfinite(found)
+            if shown[0]:
+                needs.update(zip(names[shown].tolist(), found[shown].tolist(), strict=True))
+                return names[~shown]
             every.refresh()
-        if names:
-            raise SolverError(f"neither a contradiction without {self.names[names[0]]} nor that there is none was shown")
-        return []
+        raise SolverError(f"neither a contradiction without {self.names[names[0]]} nor that there is none was shown")
 
-    def _needs(self, names: list[int]) -> dict[int, float]:
-        """By how much the rows of some of the names must give way for all others to hold, of those of which it is shown
-        where one stands."""
-        needs = self._contradictions.needs(self._share[names])
-        return {i: float(s) for i, s in zip(names, needs, strict=True) if np.isfinite(s)}
-
-    def _involved(self, y: Array) -> list[int]:
+    def _involved(self, y: Array) -> NDArray[np.intp]:
         """Names with a share in a contradiction, the smallest first."""
         share = np.zeros(len(self.names))
-        rows = np.flatnonzero(y)
-        np.maximum.at(share, self._of[rows], y[rows])
+        np.maximum.at(share, self._of, y)
         order = np.argsort(share)
-        return [int(i) for i in order[share[order] > 0.0]]
+        return order[share[order] > 0.0]
 
     def _counting(self, names: Sequence[str]) -> Mask:
         """(names,) whether each is among these."""
-        return self._mask([self._number[name] for name in names])
+        return self._mask(np.array([self._number[name] for name in names], np.intp))
 
-    def _mask(self, numbers: list[int]) -> Mask:
+    def _mask(self, numbers: NDArray[np.intp]) -> Mask:
         mask = np.zeros(len(self.names), bool)
         mask[numbers] = True
         return mask

@@ -28,15 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SolverError
+from .kernels.simplex import PIVOT, lower, pivot
 from .qp import Array
 
 Mask = NDArray[np.bool_]
 TOLERANCE = 1e-6  # of rows of norm 1 that together still have an answer
 FAR = 1e6  # [rad/s^2, m/s^2, N, N m] a certificate excludes every x within
 SHARE = 1e-9  # of the largest y, of the largest singular value, of a cost: less is rounding
-PIVOT = 1e-9  # the least that a row is divided by
 ROUNDING = 1e-7  # of slopes at the least; what they show is measured
-STUCK = 30  # pivots without a step, after which they are chosen such that none comes back (Bland)
 # of HiGHS; a number of threads would be that of all its programs in the process
 OPTIONS: dict[str, Any] = {
     "output_flag": False, "presolve": "off", "parallel": "off", "simplex_scale_strategy": 0,
@@ -75,7 +74,7 @@ class Contradictions:
     @property
     def y(self) -> Array:
         """(m,) the multipliers at the vertex where one stands."""
-        level = -self._table[:, -1]
+        level = -self._table[:-1, -1]
         y = np.zeros(self._b.size)
         y[self._basis] = np.where(level > SHARE * level.max(), level, 0.0)
         return np.where(self._on, y, 0.0)
@@ -85,38 +84,20 @@ class Contradictions:
         self._on = rows
         for i in np.flatnonzero(~rows[self._basis]):  # their y is 0: what takes their place moves nothing
             entries = np.where(rows, np.abs(self._table[i, : rows.size]), 0.0)
-            if (q := int(entries.argmax())) >= 0 and entries[q] > PIVOT:
-                self._pivot(i, q)
+            if entries[q := int(entries.argmax())] > PIVOT:
+                pivot(self._table, self._basis, i, q)
 
     def walk(self, cost: Array) -> Iterator[Array]:
         """y here, and at each vertex on the way to the least cost'y; cost (m,) >= 0."""
+        self._table[-1] = np.append(cost, np.zeros(self._basis.size)) - cost[self._basis] @ self._table[:-1]
         yield self.y
-        m, stuck, least = cost.size, 0, -SHARE * cost.max()
-        slope = cost - cost[self._basis] @ self._table[:, :m]
-        while True:
-            slope[~self._on] = slope[self._basis] = 0.0
-            falls = np.flatnonzero(slope < least)
-            if not falls.size:
-                return
-            q = int(falls[0 if stuck > STUCK else slope[falls].argmin()])
-            column = self._table[:, q]
-            rows = np.flatnonzero((column > PIVOT) | ((column < -PIVOT) & ~self._on[self._basis]))
-            if not rows.size:
-                return
-            steps = np.where(self._on[self._basis[rows]], -self._table[rows, -1] / column[rows], 0.0)
-            step = max(steps.min(), 0.0)
-            rows = rows[steps <= step + 1e-12]
-            i = int(rows[self._basis[rows].argmin() if stuck > STUCK else np.abs(column[rows]).argmax()])
-            self._pivot(i, q)
-            slope -= slope[q] * self._table[i, :m]
-            stuck = 0 if step > 1e-12 else stuck + 1
-            if not stuck:
-                yield self.y
+        while lower(self._table, self._basis, self._on, SHARE * cost.max(initial=0.0)):
+            yield self.y
 
     def needs(self, costs: Array) -> Array:
         """(k,) the least s of each cost (k, m); nan where it is not shown here, as c'y is not at its least."""
         m, y = self._b.size, self.y
-        priced = costs[:, self._basis] @ self._table  # (A N)'xi beside c'y, of which the slopes are
+        priced = costs[:, self._basis] @ self._table[:-1]  # (A N)'xi beside c'y, of which the slopes are
         slopes, share = (costs - priced[:, :m])[:, self._on], costs @ y
         found = np.full(len(costs), np.nan)
         here = np.flatnonzero((slopes.min(axis=1, initial=0.0) >= -ROUNDING) & (share > 0.0))
@@ -125,7 +106,7 @@ class Contradictions:
         x = self._x[:, None] + self._N @ z
         x -= self._inverse @ (self._E @ x - self._e[:, None])
         over = (self._A @ x - self._b[:, None] - costs[here].T * s)[self._basis]
-        z_more = -(self._table[:, m:].T @ over)  # of a far x rounding leaves something at rows that it should be at
+        z_more = -(self._table[:-1, m:].T @ over)  # of a far x rounding leaves something at rows that it should be at
         x += self._N @ (z_more[:-1] + z * z_more[-1] / self._t)
         s *= 1.0 + z_more[-1] / self._t
         shown = (self._missed(x, costs[here].T * s) <= TOLERANCE) & (
@@ -150,35 +131,30 @@ class Contradictions:
         return np.maximum(over.max(axis=0, initial=0.0), np.abs(self._E @ x - self._e[:, None]).max(axis=0, initial=0.0))
 
     def _tabulate(self, y: Array, missed: float) -> None:
-        """The tableau [B^-1 M, B^-1] of M y = (0, .., -1) at the vertex of these multipliers."""
+        """The tableau [B^-1 M, B^-1] of M y = (0, .., -1) at the vertex of these multipliers, and a row for the slopes of a
+        cost."""
         null = np.eye(self._E.shape[1]) - self._inverse @ self._E
         _, size, V = np.linalg.svd(self._A @ null, full_matrices=False)
         self._N, self._t = V[size > SHARE * size[0]].T, missed
         M = np.concatenate((self._A @ self._N, ((self._b - self._A @ self._x) / missed)[:, None]), axis=1).T
-        self._whole = np.concatenate((M, np.eye(len(M))), axis=1)
+        self._whole = np.eye(len(M) + 1, self._b.size + len(M), self._b.size)
+        self._whole[:-1, : self._b.size] = M
         order = np.argsort(-y)
         self._enter(order[y[order] > SHARE * y.max()])
 
     def _enter(self, first: Array) -> None:
         """A basis with these columns as far as they are independent, and the tableau of it."""
-        self._table, m = self._whole.copy(), self._b.size
-        self._basis, vacant = np.zeros(len(self._table), np.intp), np.ones(len(self._table), bool)
+        self._table, rank, m = self._whole.copy(), len(self._whole) - 1, self._b.size
+        self._basis, vacant = np.zeros(rank, np.intp), np.ones(rank, bool)
         for q in first:
-            i = int(np.where(vacant, np.abs(self._table[:, q]), 0.0).argmax())
+            i = int(np.where(vacant, np.abs(self._table[:-1, q]), 0.0).argmax())
             if abs(self._table[i, q]) > PIVOT:
-                self._pivot(i, q)
+                pivot(self._table, self._basis, i, q)
                 vacant[i] = False
         while vacant.any():
-            i, q = divmod(int(np.where(vacant[:, None], np.abs(self._table[:, :m]), 0.0).argmax()), m)
-            self._pivot(i, q)
+            i, q = divmod(int(np.where(vacant[:, None], np.abs(self._table[:-1, :m]), 0.0).argmax()), m)
+            pivot(self._table, self._basis, i, q)
             vacant[i] = False
-
-    def _pivot(self, i: int, q: int) -> None:
-        """Column q takes the place of the i-th of the basis."""
-        row, column = self._table[i] / self._table[i, q], self._table[:, q].copy()
-        self._table -= column[:, None] * row
-        self._table[i] = row
-        self._basis[i] = q
 
     def _least_missed(self, strategy: int) -> tuple[Array, Array] | None:
         """The x of the least t and the multipliers of the rows; None where HiGHS finds none."""

@@ -1,0 +1,70 @@
+"""The primal simplex on a tableau: rows by what is basic, a last one of slopes, and the levels, negative, at the right."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from .compiled import COUNT, NOTHING, TRUTH, Array, Counts, F, compiled, inner
+
+PIVOT = 1e-9  # the least that a row is divided by
+LEVEL = 1e-12  # less is no step
+STUCK = 30  # pivots without a step, after which they are chosen such that none comes back (Bland, 1977)
+MOST = 1000  # of those
+
+TABLE, BASIS = (types.Array(kind, ndim, "C") for kind, ndim in ((F, 2), (COUNT, 1)))
+ON = types.Array(types.boolean, 1, "C", readonly=True)
+
+
+@inner
+def _exchange(table: Array, basis: Counts, i: int, q: int) -> None:
+    per = 1.0 / table[i, q]
+    for j in range(table.shape[1]):
+        table[i, j] *= per
+    for k in range(table.shape[0]):
+        s = table[k, q]
+        if k != i and s != 0.0:
+            for j in range(table.shape[1]):
+                table[k, j] -= s * table[i, j]
+    basis[i] = q
+
+
+@compiled(NOTHING, TABLE, BASIS, COUNT, COUNT)
+def pivot(table: Array, basis: Counts, i: int, q: int) -> None:
+    """Column q takes the place of the i-th of the basis."""
+    _exchange(table, basis, i, q)
+
+
+@compiled(TRUTH, TABLE, BASIS, ON, F)
+def lower(table: Array, basis: Counts, on: NDArray[np.bool_], slope: float) -> bool:
+    """Pivots, of columns that are `on`, until the levels change; not so where no slope is below -`slope`."""
+    last, idle = table.shape[1] - 1, 0
+    while idle < MOST:
+        bland, q, least = idle > STUCK, -1, -slope
+        for j in range(on.size):
+            if on[j] and table[-1, j] < least:
+                q, least = j, table[-1, j]
+                if bland:
+                    break
+        if q < 0:
+            return False
+        step = math.inf
+        for k in range(basis.size):
+            if table[k, q] > PIVOT:
+                step = min(step, max(-table[k, last], 0.0) / table[k, q])
+        i = -1
+        for k in range(basis.size):
+            if table[k, q] > PIVOT and -table[k, last] <= (step + LEVEL) * table[k, q]:
+                if i < 0 or (basis[k] < basis[i] if bland else table[k, q] > table[i, q]):
+                    i = k
+        if i < 0:
+            return False
+        moved = -table[i, last] > LEVEL * table[i, q]
+        _exchange(table, basis, i, q)
+        if moved:
+            return True
+        idle += 1
+    return False
