@@ -4,10 +4,10 @@
 
 A set is infeasible when no x satisfies it, and irreducible when it is feasible without any one of its names. The rows
 of a contradiction at a vertex (see `contradiction`) are an irreducible set of rows; as a name may have several, a
-deletion filter (Chinneck and Dravnieks, 1991) goes through their names, the smallest share first. The least share of a
-name among all contradictions tells whether the others hold without it: if it is 0 there is one which does without, and
-the rest of the names is judged among those of that. If it is not, the name is needed, and the least tells by how much its
-rows would have to give way.
+deletion filter (Chinneck and Dravnieks, 1991) goes through their names, the smallest share first: towards the least
+share that a name has among the contradictions of what is left. Where that is 0 the name drops out, with whatever else
+the contradiction does without. Where it is not, the others hold without the name, and the least tells by how much it
+would have to give way.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Member(NamedTuple):
 class System:
     """Named rows lo <= C x <= hi (m,), beside equalities that always hold; `names` (m,) may repeat.
 
-    Rows of one name come and go together. All that is asked of it raises SolverError where there is no answer that holds
-    on the rows themselves.
+    Rows of one name come and go together. All that is asked of it raises SolverError where it has no answer that
+    holds on the rows themselves.
     """
 
     def __init__(self, C: Array, lo: Array, hi: Array, names: Sequence[str], E: Array, e: Array) -> None:
@@ -92,7 +92,7 @@ class System:
     def _contradict(self, among: Sequence[str] | None) -> bool:
         """Whether rows of these names contradict one another; then one stands at a vertex where they do."""
         every, counting = self._contradictions, self._counting(self.names if among is None else among)
-        if not every.any:
+        if every.empty:
             return False
         every.within(np.ones(self._of.size, bool))
         cost = self._share[~counting].sum(axis=0)
@@ -104,7 +104,7 @@ class System:
             if np.isfinite(every.needs(cost[None])[0]):
                 return False
             every.refresh()
-        raise SolverError(f"neither do {', '.join(among or self.names)} hold together nor was it shown that they do not")
+        raise SolverError(f"it was not shown whether {', '.join(among or self.names)} hold together")
 
     def _frees(self) -> dict[int, float]:
         """Names without which all others hold, and what each needs: they stand in every contradiction."""
@@ -118,7 +118,7 @@ class System:
         one stands where it is shown. Of `needed` it is known that nothing contradicts without them."""
         every, known = self._contradictions, dict(needed)
         while True:
-            names = self._involved(every.y)
+            names = self._involved(every.proven())
             every.within(self._mask(names)[self._of])
             left = names[[i not in known for i in names]]
             if not left.size:
@@ -126,8 +126,8 @@ class System:
             self._judged(left, known)
 
     def _judged(self, names: NDArray[np.intp], needs: dict[int, float]) -> NDArray[np.intp]:
-        """Those of the names that are left to be judged on the way to a contradiction without the first: some drop out as
-        another contradiction does without them, or as what they need is found, the first at the latest."""
+        """Those of the names that are left to judge, on the way to a contradiction without the first: some drop out as
+        another contradiction does without them, or as it is known what they need, the first at the latest."""
         every, shares = self._contradictions, self._share[names]
         for _ in range(2):
             for y in every.walk(shares[0]):
@@ -140,7 +140,7 @@ class System:
                 needs.update(zip(names[shown].tolist(), found[shown].tolist(), strict=True))
                 return names[~shown]
             every.refresh()
-        raise SolverError(f"neither a contradiction without {self.names[names[0]]} nor that there is none was shown")
+        raise SolverError(f"it was not shown whether all contradict {self.names[names[0]]}")
 
     def _involved(self, y: Array) -> NDArray[np.intp]:
         """Names with a share in a contradiction, the smallest first."""

@@ -34,8 +34,8 @@ from .qp import Array
 Mask = NDArray[np.bool_]
 TOLERANCE = 1e-6  # of rows of norm 1 that together still have an answer
 FAR = 1e6  # [rad/s^2, m/s^2, N, N m] a certificate excludes every x within
-SHARE = 1e-9  # of the largest y, of the largest singular value, of a cost: less is rounding
-ROUNDING = 1e-7  # of slopes at the least; what they show is measured
+SHARE = 1e-9  # of the largest y, singular value or cost: less is rounding
+ROUNDING = 1e-7  # of a cost: what slopes may be short of 0 at its least, for what they show is measured
 # of HiGHS; a number of threads would be that of all its programs in the process
 OPTIONS: dict[str, Any] = {
     "output_flag": False, "presolve": "off", "parallel": "off", "simplex_scale_strategy": 0,
@@ -45,7 +45,7 @@ OPTIONS: dict[str, Any] = {
 
 
 class Contradictions:
-    """Those of rows A x <= b (m,) of norm 1, beside E x = e. `any`: whether there are; the rest has meaning then.
+    """Those of rows A x <= b (m,) of norm 1, beside E x = e; one stands at a vertex of them, unless they are `empty`.
 
     Raises SolverError where HiGHS has no answer that holds on the rows themselves.
     """
@@ -54,15 +54,14 @@ class Contradictions:
         self._A, self._b, self._E, self._e = A, b, E, e
         self._on, self._inverse = np.ones(len(b), bool), np.linalg.pinv(E)
         for strategy in (1, 4):  # the dual simplex, then the primal
-            found = self._least_missed(strategy)
-            if found is None:
+            if (found := self._least_missed(strategy)) is None:
                 continue
             self._x, y = found
             missed = float(self._missed(self._x[:, None])[0])
-            self.any = missed > TOLERANCE
-            if self.any and self.proves(y):
+            self.empty = missed <= TOLERANCE
+            if not self.empty and self.proves(y):
                 self._tabulate(y, missed)
-            if not self.any or self.proves(y):
+            if self.empty or self.proves(y):
                 return
         raise SolverError("HiGHS neither satisfied the constraints nor showed that nothing does")
 
@@ -85,7 +84,7 @@ class Contradictions:
         for i in np.flatnonzero(~rows[self._basis]):  # their y is 0: what takes their place moves nothing
             entries = np.where(rows, np.abs(self._table[i, : rows.size]), 0.0)
             if entries[q := int(entries.argmax())] > PIVOT:
-                pivot(self._table, self._basis, i, q)
+                pivot(self._table, self._basis, int(i), q)
 
     def walk(self, cost: Array) -> Iterator[Array]:
         """y here, and at each vertex on the way to the least cost'y; cost (m,) >= 0."""
@@ -97,23 +96,31 @@ class Contradictions:
     def needs(self, costs: Array) -> Array:
         """(k,) the least s of each cost (k, m); nan where it is not shown here, as c'y is not at its least."""
         m, y = self._b.size, self.y
-        priced = costs[:, self._basis] @ self._table[:-1]  # (A N)'xi beside c'y, of which the slopes are
+        priced = costs[:, self._basis] @ self._table[:-1]
         slopes, share = (costs - priced[:, :m])[:, self._on], costs @ y
-        found = np.full(len(costs), np.nan)
-        here = np.flatnonzero((slopes.min(axis=1, initial=0.0) >= -ROUNDING) & (share > 0.0))
-        s = self._t / -priced[here, -1]
-        z = priced[here, m:-1].T * s
+        here = np.flatnonzero((slopes.min(axis=1) >= -ROUNDING * costs.max(axis=1)) & (share > 0.0))
+        given, xi = costs[here].T, priced[here, m:].T  # multipliers of (A N)'y = 0, and at last of what is -t
+        s = self._t / -xi[-1]
+        z = xi[:-1] * s
         x = self._x[:, None] + self._N @ z
         x -= self._inverse @ (self._E @ x - self._e[:, None])
-        over = (self._A @ x - self._b[:, None] - costs[here].T * s)[self._basis]
-        z_more = -(self._table[:-1, m:].T @ over)  # of a far x rounding leaves something at rows that it should be at
-        x += self._N @ (z_more[:-1] + z * z_more[-1] / self._t)
-        s *= 1.0 + z_more[-1] / self._t
-        shown = (self._missed(x, costs[here].T * s) <= TOLERANCE) & (
-            s - self._bound(y)[0] / share[here] <= TOLERANCE * (1.0 + s)
-        )
+        over = (self._A @ x - self._b[:, None] - given * s)[self._basis]  # what rounding leaves of 0 where x is far
+        back = self._table[:-1, m:].T @ over
+        x -= self._N @ (back[:-1] + z * back[-1] / self._t)
+        s *= 1.0 - back[-1] / self._t
+        shown = self._missed(x, given * s) <= TOLERANCE
+        shown &= s - self._bound(y)[0] / share[here] <= TOLERANCE * (1.0 + s)
+        found = np.full(len(costs), np.nan)
         found[here[shown]] = s[shown]
         return found
+
+    def proven(self) -> Array:
+        """y, which proves it. Raises SolverError where it does not, with a tableau made anew either."""
+        if not self.proves(self.y):
+            self.refresh()
+            if not self.proves(self.y):
+                raise SolverError("no contradiction was shown where one was had")
+        return self.y
 
     def refresh(self) -> None:
         """The tableau anew, without what rounding added to it."""
@@ -128,11 +135,12 @@ class Contradictions:
     def _missed(self, x: Array, more: Array | float = 0.0) -> Array:
         """(k,) by how much each x (n, k) misses the rows, which get `more` (m, k), and the equalities."""
         over = (self._A @ x - self._b[:, None] - more)[self._on]
-        return np.maximum(over.max(axis=0, initial=0.0), np.abs(self._E @ x - self._e[:, None]).max(axis=0, initial=0.0))
+        return np.maximum(
+            over.max(axis=0, initial=0.0), np.abs(self._E @ x - self._e[:, None]).max(axis=0, initial=0.0)
+        )
 
     def _tabulate(self, y: Array, missed: float) -> None:
-        """The tableau [B^-1 M, B^-1] of M y = (0, .., -1) at the vertex of these multipliers, and a row for the slopes of a
-        cost."""
+        """The tableau [B^-1 M, B^-1] of M y = (0, .., -1) at the vertex of these multipliers, and a row for slopes."""
         null = np.eye(self._E.shape[1]) - self._inverse @ self._E
         _, size, V = np.linalg.svd(self._A @ null, full_matrices=False)
         self._N, self._t = V[size > SHARE * size[0]].T, missed
@@ -142,7 +150,7 @@ class Contradictions:
         order = np.argsort(-y)
         self._enter(order[y[order] > SHARE * y.max()])
 
-    def _enter(self, first: Array) -> None:
+    def _enter(self, first: NDArray[np.intp]) -> None:
         """A basis with these columns as far as they are independent, and the tableau of it."""
         self._table, rank, m = self._whole.copy(), len(self._whole) - 1, self._b.size
         self._basis, vacant = np.zeros(rank, np.intp), np.ones(rank, bool)

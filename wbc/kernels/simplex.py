@@ -1,4 +1,4 @@
-"""The primal simplex on a tableau: rows by what is basic, a last one of slopes, and the levels, negative, at the right."""
+"""The primal simplex on a tableau: a row for each column of the basis and a last one of slopes; -levels at the right."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def pivot(table: Array, basis: Counts, i: int, q: int) -> None:
 
 @compiled(TRUTH, TABLE, BASIS, ON, F)
 def lower(table: Array, basis: Counts, on: NDArray[np.bool_], slope: float) -> bool:
-    """Pivots, of columns that are `on`, until the levels change; not so where no slope is below -`slope`."""
+    """Pivots, to columns that are `on`, until levels change: whether they did, or no slope is below -`slope`."""
     last, idle = table.shape[1] - 1, 0
     while idle < MOST:
         bland, q, least = idle > STUCK, -1, -slope
@@ -57,9 +57,10 @@ def lower(table: Array, basis: Counts, on: NDArray[np.bool_], slope: float) -> b
                 step = min(step, max(-table[k, last], 0.0) / table[k, q])
         i = -1
         for k in range(basis.size):
-            if table[k, q] > PIVOT and -table[k, last] <= (step + LEVEL) * table[k, q]:
-                if i < 0 or (basis[k] < basis[i] if bland else table[k, q] > table[i, q]):
-                    i = k
+            if table[k, q] <= PIVOT or -table[k, last] > (step + LEVEL) * table[k, q]:
+                continue
+            if i < 0 or (basis[k] < basis[i] if bland else table[k, q] > table[i, q]):
+                i = k
         if i < 0:
             return False
         moved = -table[i, last] > LEVEL * table[i, q]
