@@ -20,7 +20,7 @@ import wbc
 from wbc import analytic
 from wbc.build import build
 from wbc.cli import main
-from wbc.conflict import FAR
+from wbc.contradiction import FAR
 from wbc.controller import Status
 from wbc.explanation import explain
 from wbc.hardness import Hard

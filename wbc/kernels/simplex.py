@@ -1,4 +1,4 @@
-"""The primal simplex on a tableau: a row for each column of the basis and a last one of slopes; -levels at the right."""
+"""The primal simplex on a tableau: a row for each basic column, a last one of slopes; -levels in the last column."""
 
 from __future__ import annotations
 
