@@ -11,10 +11,10 @@ there is one. Otherwise all rows hold that have no c, and the others must give w
     min c'y = t / s     with     s = min { s : A x <= b + c s, E x = e }
 
 Whatever is asked is such a cost, and each walk begins where the last one ended. The first vertex is had from HiGHS's
-simplex: the multipliers of min t, A x <= b + t, E x = e, which always has an answer. From there on it is a primal
-simplex on a tableau, of rows without E: with x = x0 + N z and E N = 0,
+simplex: the multipliers of min t, A x <= b + t, E x = e, which always has an answer x0. From there on it is a primal
+simplex on a tableau, in which w, of any sign, is basic once and for all, so that rows of y are all it needs:
 
-    (A N)'y = 0,     (b - A x0)'y = -t
+    A'y + E'w = 0,     (b - A x0)'y = -t
 
 Nothing hangs on that arithmetic: multipliers y and points x are measured on the rows as they were given.
 """
@@ -28,13 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SolverError
-from .kernels.simplex import PIVOT, lower, pivot
+from .kernels.simplex import PIVOT, lower, pivot, slopes
 from .qp import Array
 
 Mask = NDArray[np.bool_]
 TOLERANCE = 1e-6  # of rows of norm 1 that together still have an answer
 FAR = 1e6  # [rad/s^2, m/s^2, N, N m] a certificate excludes every x within
-SHARE = 1e-9  # of the largest y, singular value or cost: less is rounding
+SHARE = 1e-9  # of the largest y, or cost: less is rounding
+INDEPENDENT = 1e-8  # an entry of what is left of a column of norm 1, at least
 ROUNDING = 1e-7  # of a cost: what slopes may be short of 0 at its least, for what they show is measured
 # of HiGHS; a number of threads would be that of all its programs in the process
 OPTIONS: dict[str, Any] = {
@@ -88,7 +89,7 @@ class Contradictions:
 
     def walk(self, cost: Array) -> Iterator[Array]:
         """y here, and at each vertex on the way to the least cost'y; cost (m,) >= 0."""
-        self._table[-1] = np.append(cost, np.zeros(self._basis.size)) - cost[self._basis] @ self._table[:-1]
+        slopes(cost[None], self._table, self._basis, self._table[-1:])
         yield self.y
         while lower(self._table, self._basis, self._on, SHARE * cost.max(initial=0.0)):
             yield self.y
@@ -96,17 +97,18 @@ class Contradictions:
     def needs(self, costs: Array) -> Array:
         """(k,) the least s of each cost (k, m); nan where it is not shown here, as c'y is not at its least."""
         m, y = self._b.size, self.y
-        priced = costs[:, self._basis] @ self._table[:-1]
-        slopes, share = (costs - priced[:, :m])[:, self._on], costs @ y
-        here = np.flatnonzero((slopes.min(axis=1) >= -ROUNDING * costs.max(axis=1)) & (share > 0.0))
-        given, xi = costs[here].T, priced[here, m:].T  # multipliers of (A N)'y = 0, and at last of what is -t
+        sloping, share = np.empty((len(costs), self._table.shape[1])), costs @ y
+        slopes(costs, self._table, self._basis, sloping)
+        rising = sloping[:, :m][:, self._on].min(axis=1) >= -ROUNDING * costs.max(axis=1)
+        here = np.flatnonzero(rising & (share > 0.0))
+        given, xi = costs[here].T, -sloping[here, m:].T  # multipliers of A'y + E'w = 0, and at last of what is -t
         s = self._t / -xi[-1]
         z = xi[:-1] * s
-        x = self._x[:, None] + self._N @ z
+        x = self._x[:, None] + z
         x -= self._inverse @ (self._E @ x - self._e[:, None])
         over = (self._A @ x - self._b[:, None] - given * s)[self._basis]  # what rounding leaves of 0 where x is far
         back = self._table[:-1, m:].T @ over
-        x -= self._N @ (back[:-1] + z * back[-1] / self._t)
+        x -= back[:-1] + z * back[-1] / self._t
         s *= 1.0 - back[-1] / self._t
         shown = self._missed(x, given * s) <= TOLERANCE
         shown &= s - self._bound(y)[0] / share[here] <= TOLERANCE * (1.0 + s)
@@ -140,29 +142,28 @@ class Contradictions:
         )
 
     def _tabulate(self, y: Array, missed: float) -> None:
-        """The tableau [B^-1 M, B^-1] of M y = (0, .., -1) at the vertex of these multipliers, and a row for slopes."""
-        null = np.eye(self._E.shape[1]) - self._inverse @ self._E
-        _, size, V = np.linalg.svd(self._A @ null, full_matrices=False)
-        self._N, self._t = V[size > SHARE * size[0]].T, missed
-        M = np.concatenate((self._A @ self._N, ((self._b - self._A @ self._x) / missed)[:, None]), axis=1).T
-        self._whole = np.eye(len(M) + 1, self._b.size + len(M), self._b.size)
-        self._whole[:-1, : self._b.size] = M
+        """The tableau at the vertex of these multipliers."""
+        self._t, (m, n) = missed, self._A.shape
+        self._whole = np.zeros((n + 2, m + n + 1 + len(self._e)))
+        self._whole[:n, :m], self._whole[n, :m] = self._A.T, (self._b - self._A @ self._x) / missed
+        self._whole[: n + 1, m : m + n + 1], self._whole[:n, m + n + 1 :] = np.eye(n + 1), self._E.T
         order = np.argsort(-y)
         self._enter(order[y[order] > SHARE * y.max()])
 
     def _enter(self, first: NDArray[np.intp]) -> None:
-        """A basis with these columns as far as they are independent, and the tableau of it."""
-        self._table, rank, m = self._whole.copy(), len(self._whole) - 1, self._b.size
-        self._basis, vacant = np.zeros(rank, np.intp), np.ones(rank, bool)
-        for q in first:
-            i = int(np.where(vacant, np.abs(self._table[:-1, q]), 0.0).argmax())
-            if abs(self._table[i, q]) > PIVOT:
-                pivot(self._table, self._basis, i, q)
-                vacant[i] = False
-        while vacant.any():
-            i, q = divmod(int(np.where(vacant[:, None], np.abs(self._table[:-1, :m]), 0.0).argmax()), m)
-            pivot(self._table, self._basis, i, q)
-            vacant[i] = False
+        """The tableau B^-1 [M, 1] of M (y, w) = (0, .., -1), and a row for slopes; its basis is of w and of these columns
+        as far as they are independent. Rows of w are left out, and those that no column is the basis of."""
+        table, m, w = self._whole.copy(), self._b.size, self._whole.shape[1] - len(self._e)
+        basis = np.full(len(table) - 1, -1)
+        for q in (*range(w, table.shape[1]), *first):
+            i = int(np.where(basis < 0, np.abs(table[:-1, q]), 0.0).argmax())
+            if abs(table[i, q]) > INDEPENDENT:
+                pivot(table, basis, i, int(q))
+        while (entries := np.where(basis[:, None] < 0, np.abs(table[:-1, :m]), 0.0)).max() > INDEPENDENT:
+            i, q = divmod(int(entries.argmax()), m)
+            pivot(table, basis, i, q)
+        kept = np.flatnonzero((basis >= 0) & (basis < m))
+        self._table, self._basis = table[np.append(kept, -1), :w], basis[kept]
 
     def _least_missed(self, strategy: int) -> tuple[Array, Array] | None:
         """The x of the least t and the multipliers of the rows; None where HiGHS finds none."""

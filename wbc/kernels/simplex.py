@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from .compiled import COUNT, NOTHING, TRUTH, Array, Counts, F, compiled, inner
+from .compiled import COUNT, NOTHING, TRUTH, Array, Counts, F, compiled, inner, m
 
 PIVOT = 1e-9  # the least that a row is divided by
 LEVEL = 1e-12  # less is no step
@@ -36,6 +36,19 @@ def _exchange(table: Array, basis: Counts, i: int, q: int) -> None:
 def pivot(table: Array, basis: Counts, i: int, q: int) -> None:
     """Column q takes the place of the i-th of the basis."""
     _exchange(table, basis, i, q)
+
+
+@compiled(NOTHING, m, TABLE, BASIS, TABLE)
+def slopes(costs: Array, table: Array, basis: Counts, out: Array) -> None:
+    """The row of slopes of each cost; `out` may be that of the tableau."""
+    for k in range(costs.shape[0]):
+        for j in range(out.shape[1]):
+            out[k, j] = costs[k, j] if j < costs.shape[1] else 0.0
+        for i in range(basis.size):
+            cost = costs[k, basis[i]]
+            if cost != 0.0:
+                for j in range(out.shape[1]):
+                    out[k, j] -= cost * table[i, j]
 
 
 @compiled(TRUTH, TABLE, BASIS, ON, F)
