@@ -12,7 +12,7 @@ there is one. Otherwise all rows hold that have no c, and the others must give w
 
 Whatever is asked is such a cost, and each walk begins where the last one ended. The first vertex is had from HiGHS's
 simplex: the multipliers of min t, A x <= b + t, E x = e, which always has an answer x0. From there on it is a primal
-simplex on a tableau, in which w, of any sign, is basic once and for all, so that rows of y are all it needs:
+simplex on a tableau in which w, of any sign, is basic once and for all, so that rows of y are all it needs:
 
     A'y + E'w = 0,     (b - A x0)'y = -t
 
@@ -151,8 +151,8 @@ class Contradictions:
         self._enter(order[y[order] > SHARE * y.max()])
 
     def _enter(self, first: NDArray[np.intp]) -> None:
-        """The tableau B^-1 [M, 1] of M (y, w) = (0, .., -1), and a row for slopes; its basis is of w and of these columns
-        as far as they are independent. Rows of w are left out, and those that no column is the basis of."""
+        """The tableau B^-1 [M, 1] of M (y, w) = (0, .., -1), and a row for slopes. Its basis is of w and of these columns
+        as far as they are independent; rows of w are left out, and those that no column is the basis of."""
         table, m, w = self._whole.copy(), self._b.size, self._whole.shape[1] - len(self._e)
         basis = np.full(len(table) - 1, -1)
         for q in (*range(w, table.shape[1]), *first):
