@@ -12,19 +12,23 @@ from wbc.kernels.simplex import lower
 
 
 def drawn(seed, whole=False):
-    """Rows A x <= b of norm 1 and E x = e that hold together in no x; of small whole numbers many meet in a vertex."""
+    """Rows A x <= b of norm 1 and E x = e that hold together in no x; of small whole numbers many meet in a vertex. Of
+    every other seed two columns are the same, and so are two of the equalities."""
     rng = np.random.default_rng(seed)
     n, k = int(rng.integers(3, 12)), int(rng.integers(0, 3))
     while True:
         if whole:
             A, b = rng.integers(-1, 2, (4 * n, n)).astype(float), rng.integers(-1, 2, 4 * n).astype(float)
-            A, b = A[np.abs(A).max(axis=1) > 0.0], b[np.abs(A).max(axis=1) > 0.0]
         else:
             A, b = rng.normal(size=(3 * n, n)), rng.normal(size=3 * n)
-        b, A = b / np.linalg.norm(A, axis=1), A / np.linalg.norm(A, axis=1)[:, None]
         E = rng.normal(size=(k, n))
+        if seed % 2:
+            A[:, 0], E[:, 0] = A[:, 1], E[:, 1]
+            E = np.concatenate((E, E[:1]))
+        norm = np.linalg.norm(A, axis=1)
+        A, b = A[norm > 0.0] / norm[norm > 0.0, None], b[norm > 0.0] / norm[norm > 0.0]
         e = E @ rng.normal(size=n)
-        if linprog(np.zeros(n), A, b, E if k else None, e if k else None, (None, None)).status == 2:
+        if linprog(np.zeros(n), A, b, E if len(E) else None, e if len(E) else None, (None, None)).status == 2:
             return A, b, E, e
 
 

@@ -151,8 +151,8 @@ class Contradictions:
         self._enter(order[y[order] > SHARE * y.max()])
 
     def _enter(self, first: NDArray[np.intp]) -> None:
-        """The tableau B^-1 [M, 1] of M (y, w) = (0, .., -1), and a row for slopes. Its basis is of w and of these columns
-        as far as they are independent; rows of w are left out, and those that no column is the basis of."""
+        """The tableau B^-1 [M, 1] of M (y, w) = (0, .., -1), and a row for slopes. B is of w and of these columns as
+        far as they are independent; rows of w are left out, and those that have no column."""
         table, m, w = self._whole.copy(), self._b.size, self._whole.shape[1] - len(self._e)
         basis = np.full(len(table) - 1, -1)
         for q in (*range(w, table.shape[1]), *first):
