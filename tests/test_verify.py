@@ -11,7 +11,7 @@ import pytest
 
 import wbc.task
 from tests.bars import KEPT_STATES, TAU_ERROR, TAU_ERROR_MUJOCO
-from wbc import cli
+from wbc.cli.verify import tell
 from wbc.contact import Contact, Held
 from wbc.errors import SpecError
 from wbc.resources import shipped_names
@@ -58,7 +58,7 @@ def test_json_has_the_keys_of_the_contract(certificate):
 
 
 def test_it_says_how_many_states_it_kept_and_dropped(certificate, capsys):
-    cli._tell_verify(certificate)
+    tell(certificate)
     said = " ".join(capsys.readouterr().out.split())
     assert f"{certificate.states} random states ({certificate.dropped} ill-conditioned ones dropped)" in said
     assert certificate.dropped > 0
@@ -123,7 +123,7 @@ def test_a_law_that_is_not_defined_for_a_spec_is_left_out_and_said(tmp_path, cap
     assert set(found.laws) == {"compensated"}
     assert "one contact and one motion task on it; there are 1 contacts and 2" in found.left_out["book"]
     assert found.as_json()["left_out"] == found.left_out
-    cli._tell_verify(found)
+    tell(found)
     assert "law book left out: the book's is for one contact" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(SpecError, match="law: the book's is for one contact"):
         verify(short(file, 0.02, "law=book"), states=20)
