@@ -26,7 +26,8 @@ from wbc.memory import Memory, Output
 from wbc.phase import Phase
 from wbc.qp import Array, Rows
 from wbc.reference import Path, Sample, hold, sine
-from wbc.robot import Robot, State
+from wbc.robot import Robot
+from wbc.state import State
 from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
 from wbc.verify import MAX_COND, MAX_COND_AJ, Dynamics, closed_form, relative
 from wbc.wrench import VELOCITY_AXES, Wrench

@@ -15,8 +15,8 @@ from wbc.cli.verify import tell
 from wbc.contact import Contact, Held
 from wbc.errors import SpecError
 from wbc.resources import shipped_names
-from wbc.robot import State
 from wbc.spec import Spec, load
+from wbc.state import State
 from wbc.task import ForceTask, PostureTask
 from wbc.verify import LAWS, STATES, Certificate, Worst, tolerance, verify
 

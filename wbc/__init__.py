@@ -12,7 +12,7 @@ __version__ = "0.2.0"
 
 _HOME = {
     "Controller": "controller", "Output": "memory", "Phase": "phase", "Status": "ladder",
-    "Robot": "robot", "State": "robot", "Frame": "frame", "Wrench": "wrench", "ForceSensor": "wrench",
+    "Robot": "robot", "State": "state", "Frame": "frame", "Wrench": "wrench", "ForceSensor": "wrench",
     "AxesContact": "contact", "Contact": "contact", "MatrixContact": "contact", "ScrewContact": "contact",
     "SphereContact": "contact", "WorldAxesContact": "contact",
     "ForceTask": "task", "MotionTask": "task", "PostureTask": "task", "Rows": "qp", "Sample": "reference",
@@ -44,8 +44,9 @@ if TYPE_CHECKING:
     from .reference import Sample
     from .relative import GazeTask, RelativeTask
     from .replay import Replay
-    from .robot import Robot, State
+    from .robot import Robot
     from .spec import load
+    from .state import State
     from .tape import Tape
     from .task import ForceTask, MotionTask, PostureTask
     from .wrench import ForceSensor, Wrench

@@ -21,8 +21,8 @@ from .errors import GainError
 from .frame import Frame
 from .qp import Array, Rows
 from .reference import Reference, Sample
-from .robot import State
 from .singular import LEAST
+from .state import State
 from .task import SPEEDS, PostureTask
 
 _ORDER = [3, 4, 5, 0, 1, 2]

@@ -25,7 +25,7 @@ from .friction import Cone, Unilateral
 from .pair import seen
 from .qp import Array, Rows
 from .ride import Ride
-from .robot import State
+from .state import State
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 _ZERO, _ZEROS = np.zeros(3), np.zeros(6)

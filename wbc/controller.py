@@ -25,8 +25,9 @@ from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status
 from .memory import NEW_WATCH, NOTHING, Memory, Output
 from .phase import Phase, Program, carry, carry_felt, hold, place, recall, settle_posture
 from .qp import Array, Workspace
-from .robot import Robot, State, Terms
+from .robot import Robot
 from .solver import DEFAULT, Solution, Solver, make
+from .state import State, Terms
 from .task import ForceLoop
 from .transition import STOP, Change
 from .valid import array_fault, missed_fault, time_fault, unit

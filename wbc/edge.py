@@ -14,7 +14,7 @@ from .contact import AxesContact, Contact, Held
 from .errors import WrenchError
 from .friction import SLIP, Cone, Unilateral
 from .qp import Array, Rows
-from .robot import State
+from .state import State
 from .surface import SoleCone
 
 HELD = (("wy", "wz", "vx", "vy", "vz"), ("wx", "wz", "vx", "vy", "vz"))  # by an edge along x, along y

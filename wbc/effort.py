@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .dynamics import inertia
 from .qp import Array, Rows
-from .robot import State
+from .state import State
 
 
 class TorqueTask:

@@ -12,7 +12,7 @@ from .contact import Contact, Held, WorldAxesContact
 from .footing import LIFTED
 from .kernels.compiled import Counts
 from .qp import Array
-from .robot import State
+from .state import State
 
 _POINT = ("vx", "vy", "vz")
 

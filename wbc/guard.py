@@ -24,7 +24,7 @@ import numpy as np
 
 from . import kernels
 from .qp import Array
-from .robot import State
+from .state import State
 from .task import ForceTask, Released
 
 if TYPE_CHECKING:

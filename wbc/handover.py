@@ -20,7 +20,7 @@ from .lead import SLOPE, Lead, fall, run
 from .phase import Program
 from .qp import Array
 from .reference import ALL_AXES, Reference, Sample, advanced, seen_from
-from .robot import State
+from .state import State
 from .task import ForceLoop, ForceTask, Task
 
 FADE = 0.5  # [s] in which what was between the robot and its reference fades out, or longer:

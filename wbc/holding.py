@@ -12,7 +12,8 @@ from .ladder import HOLD_DAMPING, HOLD_TICKS, Status, decayed
 from .memory import Memory, Output
 from .phase import Program, hold
 from .qp import UNCERTIFIED, Array
-from .robot import Robot, State, Terms
+from .robot import Robot
+from .state import State, Terms
 from .task import ForceLoop
 
 HELD = (Status.SAFE_HOLD, Status.STOPPED)

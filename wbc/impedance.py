@@ -25,8 +25,8 @@ from .errors import GainError
 from .observer import MomentumObserver, Observed, smoothing
 from .qp import Array, Rows
 from .reference import Reference, Sample, Scalar
-from .robot import State
 from .singular import LEAST
+from .state import State
 from .tank import Bounded, Tank
 from .task import SPEEDS, pose_errors
 from .wrench import VELOCITY_AXES

@@ -10,7 +10,7 @@ from .contact import Contact
 from .errors import WbcError, did_you_mean
 from .impedance import NEW
 from .qp import Array
-from .robot import State
+from .state import State
 from .valid import array_fault
 from .wrench import Wrench
 

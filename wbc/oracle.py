@@ -21,7 +21,8 @@ from .pair import movable
 from .phase import Phase
 from .qp import Array
 from .reference import Sample
-from .robot import Robot, State
+from .robot import Robot
+from .state import State
 from .task import ForceLoop, ForceTask, MotionTask, PostureTask
 from .wrench import Wrench
 

@@ -27,9 +27,10 @@ from .ladder import fewest
 from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .qp import Array, Rows, Variables, Workspace
 from .relative import GazeTask
-from .robot import Robot, State, Terms
+from .robot import Robot
 from .singular import BACK, ease, threshold
 from .solver import ProxQP, Solution, Solver, answer
+from .state import State, Terms
 from .task import ForceLoop, ForceTask, MotionTask, PostureTask, Task
 from .transition import Exit
 

@@ -26,8 +26,8 @@ from .impedance import Compliance
 from .pair import seen
 from .phase import stored
 from .qp import Array
-from .robot import State
 from .singular import smallest, threshold
+from .state import State
 from .task import ForceTask, MotionTask
 from .transition import Reading
 

@@ -22,10 +22,10 @@ from .metrics import APART
 from .phase import Phase, hold, stored
 from .qp import Array
 from .relative import GazeTask
-from .robot import State, Terms
 from .sim import Simulator
 from .singular import smallest
 from .stance import Standing
+from .state import State, Terms
 from .task import ForceTask, MotionTask
 from .touch import Touch
 from .transition import STOP

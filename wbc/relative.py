@@ -18,8 +18,8 @@ from .frame import Frame
 from .pair import seen
 from .qp import Array, Rows
 from .reference import Reference
-from .robot import State
 from .singular import LEAST
+from .state import State
 from .task import SPEEDS, MotionTask
 from .wrench import VELOCITY_AXES
 

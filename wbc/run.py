@@ -27,8 +27,8 @@ from .model import quietly
 from .phase import Phase
 from .record import STATUS_NAMES, Recorder
 from .response import Bode, described, responses
-from .robot import State
 from .sim import Observation, Simulator, carrier
+from .state import State
 from .tape import Tape
 from .task import ForceTask, MotionTask
 from .wrench import WRENCH_AXES, Wrench

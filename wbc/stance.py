@@ -39,8 +39,9 @@ if TYPE_CHECKING:
     from .contact import Contact
     from .memory import Output
     from .phase import Phase
-    from .robot import Robot, State
+    from .robot import Robot
     from .sim import Simulator
+    from .state import State
     from .touch import Touch
 
 REST = 1e-5  # [rad/s, m/s] largest velocity at rest

@@ -23,8 +23,8 @@ from .errors import GainError
 from .frame import Frame
 from .qp import Array, Rows
 from .reference import Reference, Sample
-from .robot import State
 from .singular import LEAST
+from .state import State
 from .tank import Bounded, Tank, pressed
 from .transition import LOST_SHARE
 from .wrench import VELOCITY_AXES

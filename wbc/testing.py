@@ -17,7 +17,8 @@ from .contact import Contact
 from .dynamics import inertia, mobility
 from .pair import movable
 from .qp import Array, Rows
-from .robot import Robot, State
+from .robot import Robot
+from .state import State
 from .task import ForceLoop, Task
 
 STEP = 1e-6  # [s] of the central differences

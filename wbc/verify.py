@@ -32,11 +32,11 @@ from .pair import movable
 from .phase import Phase, hold
 from .qp import Array
 from .relative import RelativeTask
-from .robot import State
 from .run import run
 from .sim import carrier
 from .solver import Solver
 from .spec import Spec
+from .state import State
 from .task import ForceLoop, ForceTask, MotionTask, PostureTask
 from .wrench import Wrench
 

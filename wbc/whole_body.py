@@ -25,7 +25,7 @@ from .errors import LawError
 from .handover import SHARING
 from .phase import LAST, Cost, Phase, Program, hold
 from .qp import Array, Rows
-from .robot import State
+from .state import State
 from .task import ForceTask, MotionTask, PostureTask, Task
 
 _NO_METRIC = np.zeros((0, 0))
