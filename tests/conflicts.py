@@ -26,7 +26,7 @@ from wbc.limit import FloatingJointLimit, JointLimit, TorqueLimit
 from wbc.phase import Phase
 from wbc.spec import load
 from wbc.surface import Sole
-from wbc.task import PostureTask
+from wbc.task.posture import PostureTask
 
 TRIES, STEPS = 200, 6
 TOLERANCE = 1e-5  # of rows of norm 1 that hold together

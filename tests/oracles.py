@@ -16,7 +16,7 @@ from wbc.memory import Memory, Output
 from wbc.oracle import Dynamics, closed_form
 from wbc.robot import Robot
 from wbc.state import State
-from wbc.task import ForceLoop
+from wbc.task.force import ForceLoop
 from wbc.wrench import Wrench
 
 Array = np.ndarray

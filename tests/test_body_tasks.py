@@ -21,7 +21,8 @@ from wbc.ladder import Status
 from wbc.pair import RelativeFrame, relative_axes
 from wbc.reference import Hold, Path, sine
 from wbc.relative import BEHIND, GazeTask, RelativeTask, _stretch
-from wbc.task import MotionTask, PostureTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 from wbc.testing import check_task
 from wbc.wrench import VELOCITY_AXES
 

@@ -17,7 +17,7 @@ from wbc.footing import Footing
 from wbc.phase import hold, place
 from wbc.reference import Hold, Path, sine
 from wbc.surface import Sole
-from wbc.task import MotionTask
+from wbc.task.motion import MotionTask
 from wbc.testing import check_contact, check_task
 from wbc.wrench import VELOCITY_AXES
 

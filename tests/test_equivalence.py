@@ -28,7 +28,9 @@ from wbc.qp import Array, Rows
 from wbc.reference import Path, Sample, hold, sine
 from wbc.robot import Robot
 from wbc.state import State
-from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
+from wbc.task.force import ForceLoop, ForceTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 from wbc.verify import MAX_COND, MAX_COND_AJ, Dynamics, closed_form, relative
 from wbc.wrench import VELOCITY_AXES, Wrench
 

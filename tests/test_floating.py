@@ -18,7 +18,7 @@ from wbc.ladder import Status
 from wbc.reference import Hold
 from wbc.robot import Robot
 from wbc.surface import Sole
-from wbc.task import MotionTask
+from wbc.task.motion import MotionTask
 from wbc.wrench import VELOCITY_AXES
 
 DOWN = np.array([0.0, 0.0, -1.0])

@@ -21,7 +21,9 @@ from wbc.oracle import relative
 from wbc.reference import Path, hold, sine
 from wbc.resources import shipped_folder
 from wbc.spec import load
-from wbc.task import ForceTask, MotionTask, PostureTask
+from wbc.task.force import ForceTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 
 DOWN = np.array([0.0, 0.0, -1.0])
 NO_LIMITS = dict.fromkeys(("torque", "torque_rate", "position", "velocity"))

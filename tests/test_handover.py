@@ -14,7 +14,9 @@ from wbc.limit import make_limits
 from wbc.phase import Phase, Program, hold
 from wbc.reference import Path, constant, ramp
 from wbc.reference import hold as stay
-from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
+from wbc.task.force import ForceLoop, ForceTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 
 LAWS = ["compensated", "book"]
 

@@ -23,7 +23,8 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.sim import Simulator
 from wbc.spec import Spec, load
-from wbc.task import MotionTask, PostureTask, pose_errors
+from wbc.task.motion import MotionTask, pose_errors
+from wbc.task.posture import PostureTask
 from wbc.verify import verify
 from wbc.wrench import Wrench
 

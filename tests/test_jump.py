@@ -23,7 +23,9 @@ from wbc.spec import load
 from wbc.spec.task import ForceTask as ForceEntry
 from wbc.spec.task import Jump
 from wbc.tape import CODEC
-from wbc.task import RATE, SPEEDS, MotionTask, PostureTask
+from wbc.task.force import RATE
+from wbc.task.motion import SPEEDS, MotionTask
+from wbc.task.posture import PostureTask
 
 pytestmark = pytest.mark.row(13)
 

@@ -12,7 +12,8 @@ from wbc.log import Log
 from wbc.metrics import IMPACT, metrics, vocabulary
 from wbc.phase import Phase
 from wbc.reference import hold
-from wbc.task import ForceTask, MotionTask
+from wbc.task.force import ForceTask
+from wbc.task.motion import MotionTask
 
 DT, TICKS = 0.001, 400
 BOARD = AxesContact("eraser", ("wx", "vz"))

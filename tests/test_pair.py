@@ -26,7 +26,9 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.spec import load as load_spec
 from wbc.surface import Sole
-from wbc.task import ForceTask, MotionTask, PostureTask
+from wbc.task.force import ForceTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 from wbc.testing import check_contact, check_task
 from wbc.verify import verify
 from wbc.wrench import VELOCITY_AXES

@@ -28,7 +28,8 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.sim import Simulator
 from wbc.spec import load
-from wbc.task import ForceTask, MotionTask
+from wbc.task.force import ForceTask
+from wbc.task.motion import MotionTask
 from wbc.transition import after
 from wbc.whole_body import WholeBodyProgram
 from wbc.wrench import Wrench

@@ -12,7 +12,9 @@ from wbc.dynamics import inertia, mobility
 from wbc.errors import GainError
 from wbc.qp import Rows
 from wbc.reference import Path, hold, sine
-from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask, computed_torque
+from wbc.task.force import ForceLoop, ForceTask
+from wbc.task.motion import MotionTask, computed_torque
+from wbc.task.posture import PostureTask
 from wbc.testing import check_task
 
 TILTED = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.9])), np.array([0.4, -0.1, 0.3]))

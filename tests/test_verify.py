@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import wbc.task
+import wbc.task.motion
 from tests.bars import KEPT_STATES, TAU_ERROR, TAU_ERROR_MUJOCO
 from wbc.cli.verify import tell
 from wbc.contact import Contact, Held
@@ -17,7 +17,8 @@ from wbc.errors import SpecError
 from wbc.resources import shipped_names
 from wbc.spec import Spec, load
 from wbc.state import State
-from wbc.task import ForceTask, PostureTask
+from wbc.task.force import ForceTask
+from wbc.task.posture import PostureTask
 from wbc.verify import LAWS, STATES, Certificate, Worst, tolerance, verify
 
 KEYS = ["spec", "ok", "states", "dropped", "lifted", "max_tau_error_mujoco", "laws"]
@@ -233,7 +234,7 @@ def forgetful(self: ForceTask, state: State, right=ForceTask.rows):
 
 
 SABOTAGE = {
-    "identity metric": (wbc.task, "inertia", lambda mobility: np.eye(len(mobility)), ["book"]),
+    "identity metric": (wbc.task.motion, "inertia", lambda mobility: np.eye(len(mobility)), ["book"]),
     "no Jdot v": (Contact, "_hold", spoiled(without_drift), LAWS),
     "damping that drives": (Contact, "_hold", spoiled(against_the_motion), LAWS),
     "posture in everyone's way": (PostureTask, "rows", rows_with(lambda state: state.M), LAWS),

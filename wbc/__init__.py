@@ -15,7 +15,8 @@ _HOME = {
     "Robot": "robot", "State": "state", "Frame": "frame", "Wrench": "wrench", "ForceSensor": "wrench",
     "AxesContact": "contact", "Contact": "contact", "MatrixContact": "contact", "ScrewContact": "contact",
     "SphereContact": "contact", "WorldAxesContact": "contact",
-    "ForceTask": "task", "MotionTask": "task", "PostureTask": "task", "Rows": "qp", "Sample": "reference",
+    "ForceTask": "task.force", "MotionTask": "task.motion", "PostureTask": "task.posture",
+    "Rows": "qp", "Sample": "reference",
     "ComTask": "centroidal", "DistributionTask": "centroidal", "MomentumTask": "centroidal",
     "WholeBodyPosture": "centroidal", "GazeTask": "relative", "RelativeTask": "relative", "TorqueTask": "effort",
     "RoundFoot": "foot", "weighed": "dynamics",
@@ -48,7 +49,9 @@ if TYPE_CHECKING:
     from .spec import load
     from .state import State
     from .tape import Tape
-    from .task import ForceTask, MotionTask, PostureTask
+    from .task.force import ForceTask
+    from .task.motion import MotionTask
+    from .task.posture import PostureTask
     from .wrench import ForceSensor, Wrench
 
 

@@ -37,7 +37,8 @@ from .ride import Ride
 from .robot import Robot
 from .solver import Solver, make
 from .stability import Pole, damping_margin, force_poles
-from .task import ForceTask, Task
+from .task import Task
+from .task.force import ForceTask
 from .tracking import Tracking, joint_values
 from .wrench import VELOCITY_AXES
 

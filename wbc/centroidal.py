@@ -23,7 +23,8 @@ from .qp import Array, Rows
 from .reference import Reference, Sample
 from .singular import LEAST
 from .state import State
-from .task import SPEEDS, PostureTask
+from .task.motion import SPEEDS
+from .task.posture import PostureTask
 
 _ORDER = [3, 4, 5, 0, 1, 2]
 BASE_SHARE = 1e-3  # what a posture's base weighs against its joints

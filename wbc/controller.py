@@ -28,7 +28,7 @@ from .qp import Array, Workspace
 from .robot import Robot
 from .solver import DEFAULT, Solution, Solver, make
 from .state import State, Terms
-from .task import ForceLoop
+from .task.force import ForceLoop
 from .transition import STOP, Change
 from .valid import array_fault, missed_fault, time_fault, unit
 from .whole_body import WholeBodyProgram

@@ -14,7 +14,9 @@ from .faults import Place
 from .geometry import Geometry
 from .impedance import Compliance
 from .qp import Array
-from .task import ForceTask, MotionTask, Task
+from .task import Task
+from .task.force import ForceTask
+from .task.motion import MotionTask
 from .transition import STOP, Condition, Exit, Reading
 from .wrench import WRENCH_AXES
 

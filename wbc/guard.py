@@ -25,7 +25,7 @@ import numpy as np
 from . import kernels
 from .qp import Array
 from .state import State
-from .task import ForceTask, Released
+from .task.force import ForceTask, Released
 
 if TYPE_CHECKING:
     from .contact import Held

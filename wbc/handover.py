@@ -21,7 +21,8 @@ from .phase import Program
 from .qp import Array
 from .reference import ALL_AXES, Reference, Sample, advanced, seen_from
 from .state import State
-from .task import ForceLoop, ForceTask, Task
+from .task import Task
+from .task.force import ForceLoop, ForceTask
 
 FADE = 0.5  # [s] in which what was between the robot and its reference fades out, or longer:
 FADE_SPEED, FADE_TURN = 0.1, 0.5  # [m/s], [rad/s] no faster than this

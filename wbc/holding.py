@@ -14,7 +14,7 @@ from .phase import Program, hold
 from .qp import UNCERTIFIED, Array
 from .robot import Robot
 from .state import State, Terms
-from .task import ForceLoop
+from .task.force import ForceLoop
 
 HELD = (Status.SAFE_HOLD, Status.STOPPED)
 _NEW_LOOP = ForceLoop()

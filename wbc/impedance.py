@@ -28,7 +28,7 @@ from .reference import Reference, Sample, Scalar
 from .singular import LEAST
 from .state import State
 from .tank import Bounded, Tank
-from .task import SPEEDS, pose_errors
+from .task.motion import SPEEDS, pose_errors
 from .wrench import VELOCITY_AXES
 
 SOURCES = ("measured", "observer", "acceleration", "none")

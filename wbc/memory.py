@@ -13,7 +13,7 @@ from .handover import Start
 from .impedance import Felt
 from .ladder import GOOD_TICKS, Status
 from .qp import Array, Certificate
-from .task import ForceLoop
+from .task.force import ForceLoop
 from .transition import Watch
 
 NOTHING: Mapping[str, Any] = {}  # never written to

@@ -57,7 +57,8 @@ from .contact import AxesContact, Contact
 from .log import Log
 from .qp import Array
 from .relative import GazeTask
-from .task import ForceTask, MotionTask
+from .task.force import ForceTask
+from .task.motion import MotionTask
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 _LOGGED: dict[type, str] = {GazeTask: "angle", MomentumTask: "lacking"}

@@ -23,7 +23,9 @@ from .qp import Array
 from .reference import Sample
 from .robot import Robot
 from .state import State
-from .task import ForceLoop, ForceTask, MotionTask, PostureTask
+from .task.force import ForceLoop, ForceTask
+from .task.motion import MotionTask
+from .task.posture import PostureTask
 from .wrench import Wrench
 
 Law = Literal["compensated", "book"]

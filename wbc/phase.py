@@ -31,7 +31,10 @@ from .robot import Robot
 from .singular import BACK, ease, threshold
 from .solver import ProxQP, Solution, Solver, answer
 from .state import State, Terms
-from .task import ForceLoop, ForceTask, MotionTask, PostureTask, Task
+from .task import Task
+from .task.force import ForceLoop, ForceTask
+from .task.motion import MotionTask
+from .task.posture import PostureTask
 from .transition import Exit
 
 if TYPE_CHECKING:

@@ -28,7 +28,8 @@ from .phase import stored
 from .qp import Array
 from .singular import smallest, threshold
 from .state import State
-from .task import ForceTask, MotionTask
+from .task.force import ForceTask
+from .task.motion import MotionTask
 from .transition import Reading
 
 

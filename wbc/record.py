@@ -26,7 +26,8 @@ from .sim import Simulator
 from .singular import smallest
 from .stance import Standing
 from .state import State, Terms
-from .task import ForceTask, MotionTask
+from .task.force import ForceTask
+from .task.motion import MotionTask
 from .touch import Touch
 from .transition import STOP
 

@@ -20,7 +20,7 @@ from .qp import Array, Rows
 from .reference import Reference
 from .singular import LEAST
 from .state import State
-from .task import SPEEDS, MotionTask
+from .task.motion import SPEEDS, MotionTask
 from .wrench import VELOCITY_AXES
 
 NEAREST = 0.01  # [m] from which on a gaze no longer turns faster as its target comes nearer

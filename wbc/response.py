@@ -30,7 +30,8 @@ from .impedance import AdmittanceTask, Compliance, ImpedanceTask
 from .log import Log
 from .observer import errors as observer_errors
 from .qp import Array
-from .task import ForceTask, MotionTask
+from .task.force import ForceTask
+from .task.motion import MotionTask
 from .wrench import VELOCITY_AXES
 
 Complex = NDArray[np.complex128]

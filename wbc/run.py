@@ -30,7 +30,8 @@ from .response import Bode, described, responses
 from .sim import Observation, Simulator, carrier
 from .state import State
 from .tape import Tape
-from .task import ForceTask, MotionTask
+from .task.force import ForceTask
+from .task.motion import MotionTask
 from .wrench import WRENCH_AXES, Wrench
 
 

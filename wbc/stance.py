@@ -33,7 +33,7 @@ import numpy as np
 from .centroidal import ComTask, DistributionTask, load, on_base
 from .log import Log
 from .qp import Array
-from .task import MotionTask
+from .task.motion import MotionTask
 
 if TYPE_CHECKING:
     from .contact import Contact

@@ -23,7 +23,10 @@ from .reference import Reference, Scalar, constant
 from .relative import GazeTask, RelativeTask
 from .robot import Robot
 from .tank import Bounded
-from .task import RATE, ForceTask, MotionTask, PostureTask, Task
+from .task import Task
+from .task.force import RATE, ForceTask
+from .task.motion import MotionTask
+from .task.posture import PostureTask
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 Axes = tuple[str, ...]

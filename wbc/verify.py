@@ -37,7 +37,9 @@ from .sim import carrier
 from .solver import Solver
 from .spec import Spec
 from .state import State
-from .task import ForceLoop, ForceTask, MotionTask, PostureTask
+from .task.force import ForceLoop, ForceTask
+from .task.motion import MotionTask
+from .task.posture import PostureTask
 from .wrench import Wrench
 
 LAWS: tuple[Law, ...] = ("compensated", "book")

@@ -26,7 +26,10 @@ from .handover import SHARING
 from .phase import LAST, Cost, Phase, Program, hold
 from .qp import Array, Rows
 from .state import State
-from .task import ForceTask, MotionTask, PostureTask, Task
+from .task import Task
+from .task.force import ForceTask
+from .task.motion import MotionTask
+from .task.posture import PostureTask
 
 _NO_METRIC = np.zeros((0, 0))
 RANK_TOLERANCE = 1e-8  # of the largest eigenvalue of the contacts' mobility
