@@ -19,7 +19,7 @@ from qpsolvers import Problem, solve_problem
 
 from wbc.build import build
 from wbc.collision import SelfCollision
-from wbc.contact import MatrixContact
+from wbc.contact.axes import MatrixContact
 from wbc.controller import Controller
 from wbc.friction import unilateral
 from wbc.limit import FloatingJointLimit, JointLimit, TorqueLimit

@@ -13,7 +13,7 @@ from test_floating import contacts_of
 
 from wbc.axes import MOMENTUM_AXES
 from wbc.centroidal import ComTask, MomentumTask, WholeBodyPosture, com, mass, momentum
-from wbc.contact import AxesContact
+from wbc.contact.axes import AxesContact
 from wbc.controller import Controller
 from wbc.effort import TorqueTask
 from wbc.errors import GainError, NameNotFound

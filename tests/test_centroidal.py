@@ -9,7 +9,8 @@ from test_floating import DOWN, FEET, contacts_of, tasks_of
 
 from wbc.analytic import surface_cone
 from wbc.centroidal import ComTask, DistributionTask, WholeBodyPosture, com, mass
-from wbc.contact import AxesContact, Contact, Settling
+from wbc.contact import Contact, Settling
+from wbc.contact.axes import AxesContact
 from wbc.controller import Controller
 from wbc.errors import GainError, WrenchError
 from wbc.foot import RoundFeet, RoundFoot

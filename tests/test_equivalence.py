@@ -19,7 +19,10 @@ import pytest
 
 from tests.bars import TAU_ERROR, TAU_ERROR_MUJOCO
 from wbc import analytic
-from wbc.contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+from wbc.contact import Contact
+from wbc.contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from wbc.contact.screw import ScrewContact
+from wbc.contact.sphere import SphereContact
 from wbc.controller import Controller
 from wbc.ladder import Status
 from wbc.memory import Memory, Output

@@ -9,7 +9,8 @@ import pytest
 from oracles import accelerated, constrained, first_tick, unconstrained
 
 from wbc.centroidal import ComTask, WholeBodyPosture, com, mass
-from wbc.contact import AxesContact, Settling
+from wbc.contact import Settling
+from wbc.contact.axes import AxesContact
 from wbc.controller import Controller
 from wbc.errors import ModelError
 from wbc.foot import RoundFoot

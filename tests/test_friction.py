@@ -11,7 +11,9 @@ from runs import result
 
 from wbc import analytic, quantity
 from wbc.build import build
-from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+from wbc.contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from wbc.contact.screw import ScrewContact
+from wbc.contact.sphere import SphereContact
 from wbc.controller import Controller
 from wbc.dynamics import reaction
 from wbc.errors import SpecError, WrenchError

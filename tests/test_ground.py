@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from wbc.build import build
-from wbc.contact import WorldAxesContact
+from wbc.contact.axes import WorldAxesContact
 from wbc.edge import EdgeContact
 from wbc.errors import SpecError
 from wbc.foot import RoundFoot

@@ -10,7 +10,7 @@ import yaml
 
 from wbc import analytic
 from wbc.build import build
-from wbc.contact import AxesContact
+from wbc.contact.axes import AxesContact
 from wbc.controller import Controller
 from wbc.errors import GainError, SpecError
 from wbc.free_motion import free_matrix, radius, stable_range

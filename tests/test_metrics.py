@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from wbc.contact import AxesContact
+from wbc.contact.axes import AxesContact
 from wbc.friction import Unilateral
 from wbc.log import Log
 from wbc.metrics import IMPACT, metrics, vocabulary

@@ -12,7 +12,9 @@ from test_floating import FREE
 from wbc.build import build
 from wbc.centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture, com, load, mass, momentum
 from wbc.check import check
-from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+from wbc.contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from wbc.contact.screw import ScrewContact
+from wbc.contact.sphere import SphereContact
 from wbc.controller import Controller
 from wbc.errors import ModelError, SpecError
 from wbc.foot import RoundFoot

@@ -15,7 +15,8 @@ from test_floating import DOWN, FREE, contacts_of, tasks_of
 from wbc.build import build
 from wbc.centroidal import ComTask, DistributionTask, com, mass
 from wbc.check import check
-from wbc.contact import AxesContact, Settling
+from wbc.contact import Settling
+from wbc.contact.axes import AxesContact
 from wbc.controller import Controller
 from wbc.errors import LawError, NameNotFound, SpecError, StateError
 from wbc.foot import RoundFoot

@@ -7,7 +7,9 @@ import pinocchio as pin
 import pytest
 
 from wbc import analytic
-from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+from wbc.contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from wbc.contact.screw import ScrewContact
+from wbc.contact.sphere import SphereContact
 from wbc.dynamics import inertia, mobility
 from wbc.errors import GainError
 from wbc.qp import Rows

@@ -13,8 +13,8 @@ __version__ = "0.2.0"
 _HOME = {
     "Controller": "controller", "Output": "memory", "Phase": "phase", "Status": "ladder",
     "Robot": "robot", "State": "state", "Frame": "frame", "Wrench": "wrench", "ForceSensor": "wrench",
-    "AxesContact": "contact", "Contact": "contact", "MatrixContact": "contact", "ScrewContact": "contact",
-    "SphereContact": "contact", "WorldAxesContact": "contact",
+    "Contact": "contact", "AxesContact": "contact.axes", "MatrixContact": "contact.axes",
+    "WorldAxesContact": "contact.axes", "ScrewContact": "contact.screw", "SphereContact": "contact.sphere",
     "ForceTask": "task.force", "MotionTask": "task.motion", "PostureTask": "task.posture",
     "Rows": "qp", "Sample": "reference",
     "ComTask": "centroidal", "DistributionTask": "centroidal", "MomentumTask": "centroidal",
@@ -30,7 +30,10 @@ __all__ = [*_HOME, *_MODULES]
 if TYPE_CHECKING:
     from . import analytic, errors, reference, solver, testing
     from .centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
-    from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+    from .contact import Contact
+    from .contact.axes import AxesContact, MatrixContact, WorldAxesContact
+    from .contact.screw import ScrewContact
+    from .contact.sphere import SphereContact
     from .controller import Controller
     from .dynamics import weighed
     from .effort import TorqueTask

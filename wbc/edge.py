@@ -10,7 +10,8 @@ import numpy as np
 from . import kernels
 from .analytic import edge_cone
 from .analytic.surface import ALONG, ENDS, PUSH
-from .contact import AxesContact, Contact, Held
+from .contact import Contact, Held
+from .contact.axes import AxesContact
 from .errors import WrenchError
 from .friction import SLIP, Cone, Unilateral
 from .qp import Array, Rows

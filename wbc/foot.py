@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from . import kernels
-from .contact import Contact, Held, WorldAxesContact
+from .contact import Contact, Held
+from .contact.axes import WorldAxesContact
 from .footing import LIFTED
 from .kernels.compiled import Counts
 from .qp import Array

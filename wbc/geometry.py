@@ -16,7 +16,10 @@ from . import spec as specs
 from .axes import MOMENTUM_AXES
 from .centroidal import com, middle
 from .closing import Goal, Lying
-from .contact import AxesContact, Contact, MatrixContact, ScrewContact, Settling, SphereContact, WorldAxesContact
+from .contact import Contact, Settling
+from .contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from .contact.screw import ScrewContact
+from .contact.sphere import SphereContact
 from .edge import Edge, EdgeContact
 from .errors import ModelError
 from .faults import Faults, Place

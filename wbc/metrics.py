@@ -53,7 +53,8 @@ from numpy.typing import NDArray
 
 from . import response, stance
 from .centroidal import MomentumTask
-from .contact import AxesContact, Contact
+from .contact import Contact
+from .contact.axes import AxesContact
 from .log import Log
 from .qp import Array
 from .relative import GazeTask

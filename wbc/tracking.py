@@ -12,7 +12,9 @@ import numpy as np
 from . import spec as specs
 from .axes import MOMENTUM_AXES
 from .centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
-from .contact import AxesContact, Contact, SphereContact
+from .contact import Contact
+from .contact.axes import AxesContact
+from .contact.sphere import SphereContact
 from .effort import TorqueTask
 from .geometry import Geometry
 from .impedance import AdmittanceTask, Compliance, ImpedanceTask
