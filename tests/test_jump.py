@@ -12,7 +12,6 @@ from flight import fly
 from invariants import Watched
 
 from wbc.build import build
-from wbc.centroidal import com
 from wbc.controller import Controller, Status
 from wbc.jump import LEAST
 from wbc.kernels import approach, jumped
@@ -23,6 +22,7 @@ from wbc.spec import load
 from wbc.spec.task import ForceTask as ForceEntry
 from wbc.spec.task import Jump
 from wbc.tape import CODEC
+from wbc.task.centroidal import com
 from wbc.task.force import RATE
 from wbc.task.motion import SPEEDS, MotionTask
 from wbc.task.posture import PostureTask

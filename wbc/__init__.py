@@ -17,9 +17,9 @@ _HOME = {
     "WorldAxesContact": "contact.axes", "ScrewContact": "contact.screw", "SphereContact": "contact.sphere",
     "ForceTask": "task.force", "MotionTask": "task.motion", "PostureTask": "task.posture",
     "Rows": "qp", "Sample": "reference",
-    "ComTask": "centroidal", "DistributionTask": "centroidal", "MomentumTask": "centroidal",
-    "WholeBodyPosture": "centroidal", "GazeTask": "relative", "RelativeTask": "relative", "TorqueTask": "effort",
-    "RoundFoot": "foot", "weighed": "dynamics",
+    "ComTask": "task.centroidal", "DistributionTask": "task.centroidal", "MomentumTask": "task.centroidal",
+    "WholeBodyPosture": "task.centroidal", "GazeTask": "task.relative", "RelativeTask": "task.relative",
+    "TorqueTask": "task.effort", "RoundFoot": "contact.foot", "weighed": "dynamics",
     "Explanation": "explanation", "explain": "explanation",
     "Replay": "replay", "Tape": "tape", "WbcError": "errors", "SpecError": "errors", "load": "spec",
 }  # fmt: skip
@@ -29,32 +29,32 @@ __all__ = [*_HOME, *_MODULES]
 
 if TYPE_CHECKING:
     from . import analytic, errors, reference, solver, testing
-    from .centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
     from .contact import Contact
     from .contact.axes import AxesContact, MatrixContact, WorldAxesContact
+    from .contact.foot import RoundFoot
     from .contact.screw import ScrewContact
     from .contact.sphere import SphereContact
     from .controller import Controller
     from .dynamics import weighed
-    from .effort import TorqueTask
     from .errors import SpecError, WbcError
     from .explanation import Explanation, explain
-    from .foot import RoundFoot
     from .frame import Frame
     from .ladder import Status
     from .memory import Output
     from .phase import Phase
     from .qp import Rows
     from .reference import Sample
-    from .relative import GazeTask, RelativeTask
     from .replay import Replay
     from .robot import Robot
     from .spec import load
     from .state import State
     from .tape import Tape
+    from .task.centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
+    from .task.effort import TorqueTask
     from .task.force import ForceTask
     from .task.motion import MotionTask
     from .task.posture import PostureTask
+    from .task.relative import GazeTask, RelativeTask
     from .wrench import ForceSensor, Wrench
 
 

@@ -26,7 +26,6 @@ from .faults import Faults
 from .feeling import check_felt
 from .free_motion import STABLE, MassRange, following_radius, mass_range
 from .geometry import Geometry, components
-from .impedance import AdmittanceTask, Compliance
 from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .metrics import vocabulary
 from .model import open_welds
@@ -39,6 +38,7 @@ from .solver import Solver, make
 from .stability import Pole, damping_margin, force_poles
 from .task import Task
 from .task.force import ForceTask
+from .task.impedance import AdmittanceTask, Compliance
 from .tracking import Tracking, joint_values
 from .wrench import VELOCITY_AXES
 

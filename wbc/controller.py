@@ -17,7 +17,6 @@ from .grounds import floors, levels
 from .guard import gripped, watch
 from .handover import hand_over
 from .holding import HELD, Answer, Holding
-from .impedance import NEW, Felt
 from .inputs import Inputs
 from .jump import kept, lead_in
 from .kernels import torque
@@ -29,6 +28,7 @@ from .robot import Robot
 from .solver import DEFAULT, Solution, Solver, make
 from .state import State, Terms
 from .task.force import ForceLoop
+from .task.impedance import NEW, Felt
 from .transition import STOP, Change
 from .valid import array_fault, missed_fault, time_fault, unit
 from .whole_body import WholeBodyProgram

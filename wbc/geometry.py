@@ -14,16 +14,15 @@ import pinocchio as pin
 from . import quantity
 from . import spec as specs
 from .axes import MOMENTUM_AXES
-from .centroidal import com, middle
 from .closing import Goal, Lying
 from .contact import Contact, Settling
 from .contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from .contact.edge import Edge, EdgeContact
+from .contact.foot import RoundFoot
 from .contact.screw import ScrewContact
 from .contact.sphere import SphereContact
-from .edge import Edge, EdgeContact
 from .errors import ModelError
 from .faults import Faults, Place
-from .foot import RoundFoot
 from .footing import Footing
 from .friction import unilateral
 from .names import MOVING
@@ -33,6 +32,7 @@ from .reference import Hold, Path, Reference, Scalar, ScrewPath, SpherePath, arc
 from .ride import Ride
 from .robot import Robot
 from .surface import Sole
+from .task.centroidal import com, middle
 from .transition import Reading
 from .wrench import VELOCITY_AXES
 

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from .centroidal import ComTask, DistributionTask, com, middle
 from .dynamics import reaction
 from .lead import SLOPE, Lead, fall, run
 from .phase import Program
@@ -22,6 +21,7 @@ from .qp import Array
 from .reference import ALL_AXES, Reference, Sample, advanced, seen_from
 from .state import State
 from .task import Task
+from .task.centroidal import ComTask, DistributionTask, com, middle
 from .task.force import ForceLoop, ForceTask
 
 FADE = 0.5  # [s] in which what was between the robot and its reference fades out, or longer:

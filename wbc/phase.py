@@ -13,28 +13,28 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from .centroidal import ComTask, MomentumTask, WholeBodyPosture
 from .contact import Contact, Held
+from .contact.foot import RoundFeet, RoundFoot
 from .dynamics import fill, gauss, inertia, inertia_of_what_moves, mobility, torque_map
-from .effort import TorqueTask
 from .errors import LawError, NameNotFound
-from .foot import RoundFeet, RoundFoot
 from .friction import Cone
 from .hierarchy import level
 from .hierarchy import solve as descend
-from .impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
 from .ladder import fewest
 from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .qp import Array, Rows, Variables, Workspace
-from .relative import GazeTask
 from .robot import Robot
 from .singular import BACK, ease, threshold
 from .solver import ProxQP, Solution, Solver, answer
 from .state import State, Terms
 from .task import Task
+from .task.centroidal import ComTask, MomentumTask, WholeBodyPosture
+from .task.effort import TorqueTask
 from .task.force import ForceLoop, ForceTask
+from .task.impedance import AdmittanceTask, Compliance, Felt, ImpedanceTask
 from .task.motion import MotionTask
 from .task.posture import PostureTask
+from .task.relative import GazeTask
 from .transition import Exit
 
 if TYPE_CHECKING:

@@ -30,9 +30,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .centroidal import ComTask, DistributionTask, load, on_base
 from .log import Log
 from .qp import Array
+from .task.centroidal import ComTask, DistributionTask, load, on_base
 from .task.motion import MotionTask
 
 if TYPE_CHECKING:

@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 
 from . import kernels
-from .centroidal import DistributionTask, WholeBodyPosture, load
 from .dynamics import inertia, inertia_within, mobility, torque_map
-from .effort import TorqueTask
 from .errors import LawError
 from .handover import SHARING
 from .phase import LAST, Cost, Phase, Program, hold
 from .qp import Array, Rows
 from .state import State
 from .task import Task
+from .task.centroidal import DistributionTask, WholeBodyPosture, load
+from .task.effort import TorqueTask
 from .task.force import ForceTask
 from .task.motion import MotionTask
 from .task.posture import PostureTask
