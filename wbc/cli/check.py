@@ -32,7 +32,7 @@ def check(spec: str, solver: str | None, overrides: tuple[str, ...], as_json: bo
 def tell(report: Any) -> None:
     from rich.table import Table
 
-    from ..build import against
+    from ..margins import against
 
     console = terminal()
     for note in report.notes:
