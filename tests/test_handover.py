@@ -12,7 +12,8 @@ from wbc.contact.screw import ScrewContact
 from wbc.dynamics import reaction
 from wbc.handover import FADE, FADE_SPEED, FADE_TURN, Start, hand_over, take_up
 from wbc.limit import make_limits
-from wbc.phase import Phase, Program, hold
+from wbc.phase import Phase, hold
+from wbc.program import Program
 from wbc.reference import Path, constant, ramp
 from wbc.reference import hold as stay
 from wbc.task.force import ForceLoop, ForceTask

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from .dynamics import reaction
 from .lead import SLOPE, Lead, fall, run
-from .phase import Program
+from .program import Program
 from .qp import Array
 from .reference import ALL_AXES, Reference, Sample, advanced, seen_from
 from .state import State

@@ -128,7 +128,7 @@ def _true_state(controller: Controller, simulator: Simulator, terms: Terms) -> S
     known = controller.state
     state = State(terms, *simulator.true_state, known.t, known.dt)
     state.starts, state.targets, state.measured = known.starts, known.targets, known.measured
-    state.grounds, state.limited = known.grounds, known.limited
+    state.grounds, state.followed = known.grounds, known.followed
     hold(state, controller.phase)
     return state
 

@@ -83,8 +83,8 @@ class State:
     measured (6,), the targets set from outside, the force loops' memory, and what tasks feel of a push; `primary` is
     (G, W, K), all rows of contacts and motion tasks, their inertia and mobility: the posture stays out of them;
     `starts`: task -> `Start`, how its reference was taken up, for those that began after the run did; `grounds`:
-    contact -> how far above its plane a foot has found the floor [m]; `limited`: contact -> what is followed of a
-    target that has jumped, (k,); `gave`: what of a task gives way at this tick -> why; `released`: contact that is lost
+    contact -> how far above its plane a foot has found the floor [m]; `followed`: contact -> what is followed of the
+    target of its force, (k,); `gave`: what of a task gives way at this tick -> why; `released`: contact that is lost
     -> `Released`. Valid until the next state is computed from the same `terms`.
     """
 
@@ -96,10 +96,10 @@ class State:
         "count",
         "dt",
         "felt",
+        "followed",
         "gave",
         "grounds",
         "h",
-        "limited",
         "loops",
         "measured",
         "primary",
@@ -129,7 +129,7 @@ class State:
         self.primary: tuple[Array, Array, Array] = _NO_ROWS
         self.starts: Mapping[Any, Any] = _NO_STARTS
         self.grounds: Mapping[Any, float] = _NO_STARTS
-        self.limited: dict[str, Array] = {}
+        self.followed: dict[str, Array] = {}
         self.gave: dict[str, str] = {}
         self.released: Mapping[str, Any] = _NO_STARTS
         self._L: Any = None

@@ -21,7 +21,8 @@ from . import kernels
 from .dynamics import inertia, inertia_within, mobility, torque_map
 from .errors import LawError
 from .handover import SHARING
-from .phase import LAST, Cost, Phase, Program, hold
+from .phase import LAST, Phase, hold
+from .program import Cost, Program
 from .qp import Array, Rows
 from .state import State
 from .task import Task

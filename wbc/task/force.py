@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,7 +82,7 @@ class ForceTask:
     ) -> None:
         self.tank = tank
         self.contact, self.law, self._held_by, self.wrench = contact, law, held_by, wrench
-        self.target = target if callable(target) else _always(np.array(target, float))
+        self.target = _copied(target) if callable(target) else _always(np.array(target, float))
         k = held_by.k
         self._book = law == "book"
         self.Kp, self.Ki = (self._gain(K, k, name) for K, name in ((kp, "kp"), (ki, "ki")))
@@ -101,7 +102,7 @@ class ForceTask:
             f"{name}: under law: book the gains act on the whole wrench; expected a number or 6 of them, got {len(K)}"
         )
 
-    @property
+    @cached_property
     def listens(self) -> bool:
         """Whether it goes by what is measured."""
         return bool(self.Kp.any() or self.Ki.any()) or self._held_by.feedforward == "measured"
@@ -115,9 +116,9 @@ class ForceTask:
         return self._smoothed[1]
 
     def desired(self, state: State) -> Array:
-        """(k,) lambda_d, with what `targets` overrides; where that has jumped, what is followed of it."""
-        if (limited := state.limited.get(self.contact)) is not None:
-            return limited
+        """(k,) lambda_d, with what `targets` overrides; from `wbc.jump` on, what is followed of it."""
+        if (followed := state.followed.get(self.contact)) is not None:
+            return followed
         lam = self.target(state.since(self))
         if self.wrench:
             lam = state.contacts[self.contact].inverse.dot(lam)
@@ -239,6 +240,11 @@ def _rates(axes: tuple[str, ...], rate: Any) -> Array:
     if given.shape != (len(axes),) or not (given > 0.0).all():
         raise GainError(f"rate: expected a number above 0, or {len(axes)} of them ({', '.join(axes)}), got {rate}")
     return given
+
+
+def _copied(target: Callable[[float], Array]) -> Callable[[float], Array]:
+    """It may answer with the same array again and again, written to in between."""
+    return lambda t: np.array(target(t), float)
 
 
 def _always(value: Array) -> Callable[[float], Array]:
