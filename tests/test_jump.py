@@ -19,8 +19,8 @@ from wbc.lead import SETTLE, SLOPE, Lead
 from wbc.reference import Path, Sample, hold, sine
 from wbc.sim import Simulator
 from wbc.spec import load
+from wbc.spec.placed import Jump
 from wbc.spec.task import ForceTask as ForceEntry
-from wbc.spec.task import Jump
 from wbc.tape import CODEC
 from wbc.task.centroidal import com
 from wbc.task.force import RATE, ForceTask
