@@ -15,12 +15,13 @@ from . import spec as specs
 from .closing import CLOSED, Goal, Lying, close
 from .controller import Controller
 from .coordinates import to_mujoco
+from .curve import components
 from .errors import did_you_mean
 from .exits import exit_of
 from .faults import Faults
 from .feeling import check_felt
 from .free_motion import MassRange
-from .geometry import Geometry, components
+from .geometry import Geometry
 from .limiting import collision_of, limits_of, unlimited
 from .margins import force_loops, masses_at
 from .metrics import vocabulary
