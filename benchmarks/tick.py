@@ -21,12 +21,12 @@ import numpy as np
 import pinocchio as pin
 
 import wbc.controller
-import wbc.phase
+import wbc.program
 import wbc.solver
 from wbc.build import build
 from wbc.controller import Controller
 from wbc.inputs import Inputs
-from wbc.phase import Program
+from wbc.program import Program
 from wbc.run import run
 from wbc.spec import load
 from wbc.whole_body import WholeBodyProgram
@@ -38,7 +38,7 @@ STAGES: dict[str, tuple[tuple[Any, str], ...]] = {
     "contacts, wrenches": ((wbc.controller, "hold"), (Inputs, "read")),
     "rows": ((Program, "costs"), (WholeBodyProgram, "costs")),
     "assembly": ((Program, "assemble"),),
-    "solve": ((wbc.phase, "answer"),),
+    "solve": ((wbc.program, "answer"),),
     "certificate": ((wbc.solver, "certify"),),
     "decode": ((Controller, "_accept"),),
 }

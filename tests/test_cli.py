@@ -190,8 +190,10 @@ def test_compare_records_to_a_file_and_reads_it(tmp_path: Path) -> None:
     file, short = tmp_path / "met.npz", ("--set", "duration=0.02")
     told = said("compare", "planar", *short, "--record", file)
     assert told["bytes"] == file.stat().st_size
-    found = said("compare", file, "--solvers", "daqp,daqp (plain),osqp (default)", "--out", tmp_path / "out")
+    chosen = ("--solvers", "daqp,daqp (plain),osqp (default)", "--timeout", 20)
+    found = said("compare", file, *chosen, "--out", tmp_path / "out")
     assert found["problems"] == told["problems"] > 0
+    assert (found["timeout"], found["solvers"]["daqp"]["timed_out"]) == (20.0, 0)
     assert found["ok"]
     assert set(found["solvers"]) == {"daqp", "daqp (plain)", "osqp (default)"}
     assert json.loads((tmp_path / "out" / "compare.json").read_text()) == found
@@ -283,6 +285,8 @@ def test_brackets_are_text(tmp_path: Path) -> None:
         (("verify", "eraser", "--solver", "dapq"), "did you mean 'daqp'?"),
         (("compare", "eraser", "--solvers", "dapq", "--set", "duration=0.01"), "did you mean 'daqp'?"),
         (("compare", "eraser", "--solvers", ",", "--set", "duration=0.01"), "expected"),
+        (("compare", "planar", "--timeout", "0", "--set", "duration=0.01"), "timeout 0: expected a time above 0 [s]"),
+        (("compare", "planar", "--timeout", "nan", "--set", "duration=0.01"), "timeout nan: expected a time above"),
         (("run", "eraser", "--set", "expect.board.fz.rms_error=9"), "bounds cannot be changed from the command line"),
         (("run", "eraser", "--set", "expect={}"), "bounds cannot be changed from the command line"),
         (("check", "eraser", "--set", "tasks.pres.kp=1"), "no such key; did you mean 'press'?"),

@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +16,7 @@ from rich.console import Console
 
 import wbc
 from tests.bars import TAU_ERROR
+from tests.unruly import Killed, Never
 from wbc.build import build
 from wbc.compare import compare, record, table
 from wbc.errors import ProblemError, SolverError
@@ -216,6 +223,9 @@ def test_bad_input_is_said(recorded):
         compare(recorded[:1], ["dqp"])
     with pytest.raises(SolverError, match="no solvers"):
         compare(recorded[:1], [])
+    for timeout in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(SolverError, match="expected a time above 0"):
+            compare(recorded[:1], ["daqp"], timeout=timeout)
 
 
 def test_strict_levels_are_no_one_problem():
@@ -224,12 +234,111 @@ def test_strict_levels_are_no_one_problem():
 
 
 def test_compare_tells_progress(recorded):
+    """From its first pass on, in problems."""
     told = []
     compare(recorded[:25], ["daqp"], passes=2, progress=told.append)
-    assert told == [10, 20, 25]
+    assert told == [5, 10, 12, 17, 22, 25]
+    told.clear()
+    compare(recorded[:20], {"a": Daqp(), "b": Daqp()}, passes=1, progress=told.append)
+    assert told == [5, 10, 15, 20]
 
 
 def test_a_recorded_answer_is_certified_after_the_run(recorded):
     for item in recorded[:10]:
         x, z = Daqp().solve(item.problem)
         assert max(certify(item.problem, x, z)) < 1e-9
+
+
+# --- processes ---
+
+
+def gone(pid, within=5.0):
+    end = time.monotonic() + within
+    while time.monotonic() < end:
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def test_what_never_answers_is_refused_in_time_and_the_rest_goes_on(recorded, tmp_path):
+    file = tmp_path / "pid"
+    compare(recorded[:1], ["daqp"], passes=1)  # starts what processes come from
+    began = time.monotonic()
+    result = compare(recorded[:25], {"never": Never(file=file), "daqp": "daqp"}, passes=2, timeout=0.2)
+    assert time.monotonic() - began < 15.0  # one to warm up and five problems wait, 0.2 s each
+    never, daqp = result["solvers"].values()
+    assert (never["refused"], never["timed_out"], never["solved"], never["crashed"]) == (25, 25, 0, 0)
+    assert never["us"]["p50"] >= 0.2e6
+    assert (daqp["solved"], daqp["timed_out"], daqp["max_tau_error"] < 1e-9) == (25, 0, True)
+    assert result["timeout"] == never["timeout"] == daqp["timeout"] == 0.2
+    assert result["ok"]
+    assert gone(int(file.read_text()))
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(table(result))
+    assert "25 (25 too late)" in capture.get()
+    assert "at most 0.2 s each" in capture.get()
+
+
+def test_after_a_problem_that_it_never_answers_a_solver_goes_on(recorded):
+    """In a new process, which was asked one problem to warm up: its third is the second of the others."""
+    never = compare(recorded[:5], {"n": Never(3)}, passes=2, timeout=0.3)["solvers"]["n"]
+    assert (never["solved"], never["refused"]) == (1, 4)  # of the first pass 1 and 3, of the second 0 and 4
+    assert never["timed_out"] == 4
+    assert never["max_tau_error"] < 1e-9
+
+
+def test_a_solver_that_ends_its_process_is_refused_and_goes_on(recorded):
+    row = compare(recorded[:12], {"k": Killed(recorded[3].problem)}, passes=2)["solvers"]["k"]
+    assert (row["solved"], row["refused"], row["crashed"], row["timed_out"]) == (11, 1, 1, 0)
+
+
+def test_answers_are_the_same_in_a_process_of_its_own(recorded):
+    """To the bit; those of ProxQP depend on where arrays stand, by rounding."""
+    names = ["daqp", "daqp (plain)", "proxqp"]
+    here, there = (compare(recorded[::5], names, passes=1, timeout=each)["solvers"] for each in (None, 10.0))
+    for name in names:
+        assert (here[name]["timeout"], there[name]["timeout"]) == (None, 10.0)
+        for key in ("solved", "retried", "tolerance", *(("certified", "kinds") if name != "proxqp" else ())):
+            assert here[name][key] == there[name][key], (name, key)
+    for key, value in here["proxqp"]["certified"].items():
+        assert abs(value - there["proxqp"]["certified"][key]) < 1e-10, key
+
+
+def test_an_object_that_cannot_be_pickled_is_asked_in_this_process(recorded):
+    mine = Changed(lambda x, z: (x, z))
+    row = compare(recorded[:5], {"mine": mine}, passes=1, timeout=5.0)["solvers"]["mine"]
+    assert row["timeout"] is None
+    assert row["solved"] == 5
+    assert mine.asked == 6  # of them one to warm up
+
+
+SCRIPT = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
+from wbc.compare import compare, corpus
+from tests.unruly import Loud, Never
+compare(corpus.load()[:5], {"daqp": "daqp", "loud": Loud(), "never": Never(file=sys.argv[1])}, timeout=60.0)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_who_ends_a_comparison_ends_all_of_it(tmp_path, how):
+    """Also when nothing could be tidied up any more. What solvers print goes to stderr."""
+    file = tmp_path / "pid"
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    running = subprocess.Popen([sys.executable, "-c", SCRIPT, str(file)], **pipes, env=env, text=True)
+    end = time.monotonic() + 100.0
+    while not (file.exists() and file.read_text()) and running.poll() is None and time.monotonic() < end:
+        time.sleep(0.05)
+    pid = int(file.read_text())
+    running.send_signal(how)
+    out, err = running.communicate(timeout=20.0)
+    assert running.returncode != 0
+    assert gone(pid)
+    assert err.count("Traceback") == (how == signal.SIGINT)  # that of the script itself
+    assert (out, "hear me" in err) == ("", True)

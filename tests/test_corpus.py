@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.optimize import linprog
 from wbc.compare import compare, corpus, offered, picture
 from wbc.compare.bound import Bound
 from wbc.compare.record import INFEASIBLE
-from wbc.errors import ProblemError
+from wbc.errors import ProblemError, SolverError
 from wbc.qp import certify
 from wbc.solver import TOLERANCE, Daqp, answer, make
 
@@ -133,11 +134,13 @@ def test_nothing_wrong_is_accepted_and_certified_answers_agree(sample, name):
     row = result["solvers"][name]
     assert result["ok"]
     assert row["accepted_wrong"] == 0
+    assert list(row["growth"]) == [str(n) for n in sorted({i.problem.g.size for i in sample if i.kind != INFEASIBLE})]
     infeasible = row["kinds"][INFEASIBLE]
     assert infeasible["solved"] == 0
     assert infeasible["problems"] == sum(item.kind == INFEASIBLE for item in sample)
     if row["certified"]["tau_error"] is not None:
         assert row["certified"]["tau_error"] <= row["tolerance"]
+    assert row["crashed"] == 0
     well = [item for item in sample if item.kind not in (INFEASIBLE, "ill-scaled")]
     solver = make(name)
     for item in well:
@@ -147,6 +150,18 @@ def test_nothing_wrong_is_accepted_and_certified_answers_agree(sample, name):
             assert np.abs(item.torque(found.x) - item.torque(best.x)).max() <= most, (item.spec, item.t)
     if name.startswith("daqp"):
         assert row["solved"] == result["problems"] - result["infeasible"]
+
+
+@pytest.mark.parametrize("name", [name for name in offered() if name != "proxqp (default)"])
+def test_no_solver_writes_to_a_problem(sample, name):
+    """Those that the controller trusts in this, and all others; of infeasible ones too."""
+    solver = make(name)
+    for item in sample:
+        kept = item.problem.copy()
+        with suppress(SolverError):
+            solver.solve(item.problem)
+        for before, after in zip(kept, item.problem, strict=True):
+            assert np.array_equal(before, after), (item.spec, item.t)
 
 
 def test_a_liar_on_the_corpus_is_never_accepted(sample, rng):

@@ -10,12 +10,13 @@ from wbc.controller import Controller
 from wbc.errors import LawError
 from wbc.hierarchy import Level, level, shortest, solve
 from wbc.ladder import Status
-from wbc.qp import Problem, Rows, Variables
+from wbc.qp import Problem, Rows, Variables, certify
 from wbc.reference import hold
 from wbc.robot import Robot
-from wbc.solver import make
+from wbc.solver import TOLERANCE, Daqp, make
 from wbc.spec import load
-from wbc.task import MotionTask, PostureTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 COUNT = 500 if LARGE else 60
@@ -118,6 +119,34 @@ def test_each_level_is_at_the_lexicographic_optimum(name):
         assert (value <= problem.hi[n:] + 1e-8).all()
     assert not refused
     assert worst < (1e-6 if name == "daqp" else 1e-5)  # ProxQP stops at 1e-9 of the gradient, not of the residual
+
+
+class Edge:
+    """DAQP, as far off as the certificate lets it: along the weakest direction, or a random one."""
+
+    def __init__(self, rng):
+        self.inner, self.rng = Daqp(), rng
+
+    def solve(self, problem):
+        x, z = self.inner.solve(problem)
+        weakest = np.linalg.eigh(problem.H)[1][:, 0] * self.rng.choice([-1.0, 1.0])
+        d = weakest if self.rng.random() < 0.5 else self.rng.normal(size=x.size)
+        most = 0.0
+        for size in np.logspace(-12, 3, 46):
+            if not certify(problem, x + size * d, z).holds(TOLERANCE):
+                break
+            most = size
+        return x + most * d, z
+
+
+def test_what_the_certificate_lets_through_at_one_level_takes_nothing_from_another(rng):
+    """An interval that an answer only just leaves is not decided: the levels below keep what it leaves free."""
+    for seed in range(COUNT):
+        problem, levels = hierarchy(seed)
+        _, exact = solve(problem, levels, Daqp())
+        solution, left = solve(problem, levels, Edge(rng))
+        assert solution.accepted
+        assert max(np.abs(ours - theirs).max() for ours, theirs in zip(left, exact, strict=True)) < 1e-3, seed
 
 
 def test_a_lower_level_moves_no_residual_above(rng):

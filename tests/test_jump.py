@@ -12,7 +12,6 @@ from flight import fly
 from invariants import Watched
 
 from wbc.build import build
-from wbc.centroidal import com
 from wbc.controller import Controller, Status
 from wbc.jump import LEAST
 from wbc.kernels import approach, jumped
@@ -20,10 +19,13 @@ from wbc.lead import SETTLE, SLOPE, Lead
 from wbc.reference import Path, Sample, hold, sine
 from wbc.sim import Simulator
 from wbc.spec import load
+from wbc.spec.placed import Jump
 from wbc.spec.task import ForceTask as ForceEntry
-from wbc.spec.task import Jump
 from wbc.tape import CODEC
-from wbc.task import RATE, SPEEDS, MotionTask, PostureTask
+from wbc.task.centroidal import com
+from wbc.task.force import RATE, ForceTask
+from wbc.task.motion import SPEEDS, MotionTask
+from wbc.task.posture import PostureTask
 
 pytestmark = pytest.mark.row(13)
 
@@ -270,6 +272,20 @@ def test_a_force_that_jumps_by_100_N(record_property):
     assert beyond < JUMP["force"]
     assert forces[-1] == pytest.approx(-110.0, abs=1.0)
     assert outs[-1].status is Status.OK
+
+
+def test_a_target_that_is_one_array_written_to_is_led_in_as_well():
+    built = build(load("eraser"))
+    contact, given = built.phases[0].contacts["board"], np.array([0.0, 0.0, -10.0])
+    controller = Controller(
+        built.robot, {"board": contact}, {"press": ForceTask("board", contact, lambda t: given)}, q=built.q
+    )
+    controller.reset(built.q, np.zeros(7))
+    for tick in range(3):
+        given[2] = -10.0 if tick < 2 else -110.0
+        out = controller.step(1e-3 * tick, built.q, np.zeros(7))
+    assert "press.jump" in out.active
+    assert out.wrenches["board"][5] == pytest.approx(-10.5, abs=1e-6)
 
 
 def test_as_it_comes_the_torque_steps_for_a_force_too(record_property):

@@ -260,6 +260,73 @@ def test_garbage_is_refused_and_said(reason):
     assert solver.solves == 1
 
 
+def _writing(place):
+    def change(problem, x, z):
+        """Makes x = 0 the answer: to another problem."""
+        if place == "bounds":
+            problem.lo[:], problem.hi[:] = -np.inf, np.inf
+        problem.g[:] = 0.0
+        problem.lo[:], problem.hi[:] = np.minimum(problem.lo, 0.0), np.maximum(problem.hi, 0.0)
+        if place == "raises":
+            raise ZeroDivisionError
+        if place == "coefficients":
+            problem.stack[:] *= 2.0
+        return np.zeros_like(x), np.zeros_like(z)
+
+    return change
+
+
+@pytest.mark.parametrize("place", ["bounds", "coefficients", "raises"])
+@pytest.mark.parametrize("subclass", [False, True])
+def test_what_writes_to_the_problem_is_refused_and_undone(place, subclass):
+    """Its answer satisfies what it left there: a certificate of another problem."""
+    change = _writing(place)
+
+    class Writing(Daqp if subclass else object):
+        def solve(self, problem):
+            return change(problem, *Daqp().solve(problem))
+
+    problem = strictly_convex(1, 6, 2, 5).copy()
+    kept = problem.copy()
+    solution = answer(Writing(), problem)
+    assert not solution.accepted
+    assert solution.reason == "the solver wrote to the arrays of the problem"
+    for before, after in zip(kept, problem, strict=True):
+        np.testing.assert_array_equal(before, after)
+    assert answer(Daqp(), problem).accepted
+
+
+def test_a_buffer_that_the_next_answer_overwrites_is_no_part_of_an_accepted_one():
+    """The controller keeps the wrenches of its last accepted answer, to hold them when there is none."""
+
+    class Buffered:
+        x, z = np.zeros(6), np.zeros(11)
+
+        def solve(self, problem):
+            self.x[:], self.z[:] = np.nan, np.nan  # left so where DAQP finds no answer
+            self.x[:], self.z[:] = Daqp().solve(problem)
+            return self.x, self.z
+
+    solver, problem = Buffered(), strictly_convex(1, 6, 2, 5).copy()
+    first = answer(solver, problem)
+    assert first.accepted
+    x, z = first.x.copy(), first.z.copy()
+    problem.hi[:] = -1e3
+    problem.lo[:] = -1e3
+    assert not answer(solver, problem).accepted
+    np.testing.assert_array_equal(first.x, x)
+    np.testing.assert_array_equal(first.z, z)
+
+
+def test_an_accepted_answer_is_plain_numbers():
+    """A mask would leave them out of what is held when there is no answer, though they are what was certified."""
+    problem = strictly_convex(1, 6, 2, 5)
+    solution = answer(Foreign(lambda x, z: (np.ma.array(x, mask=True), np.ma.array(z, mask=True))), problem)
+    assert solution.accepted
+    assert (type(solution.x), type(solution.z)) == (np.ndarray, np.ndarray)
+    np.testing.assert_array_equal(solution.x, exact(problem))
+
+
 def test_exact_answers_of_a_foreign_object_are_accepted():
     assert answer(Foreign(), strictly_convex(1)).accepted
 

@@ -14,20 +14,22 @@ import numpy as np
 from .contact import Contact
 from .errors import NameNotFound, StateError
 from .grounds import floors, levels
-from .guard import gripped, watch
-from .handover import hand_over
+from .guard import Guarded, gripped, watch
+from .handover import Start, hand_over
 from .holding import HELD, Answer, Holding
-from .impedance import NEW, Felt
 from .inputs import Inputs
 from .jump import kept, lead_in
 from .kernels import torque
 from .ladder import GOOD_TICKS, MISSED_DEGRADED, MISSED_STOPPED, Status
 from .memory import NEW_WATCH, NOTHING, Memory, Output
-from .phase import Phase, Program, carry, carry_felt, hold, place, recall, settle_posture
+from .phase import Phase, carry, carry_felt, hold, place, recall, settle_posture
+from .program import Program
 from .qp import Array, Workspace
-from .robot import Robot, State, Terms
+from .robot import Robot
 from .solver import DEFAULT, Solution, Solver, make
-from .task import ForceLoop
+from .state import State, Terms
+from .task.force import ForceLoop
+from .task.impedance import NEW, Felt
 from .transition import STOP, Change
 from .valid import array_fault, missed_fault, time_fault, unit
 from .whole_body import WholeBodyProgram
@@ -259,13 +261,16 @@ class Controller:
         if program.phase.exit is not None:
             if program.phase.tanks:
                 recall(state, program.phase, memory.loops, memory.felt)
-            watch, change = program.phase.exit.step(memory.watch, t - memory.phase_start, state)
-            memory = memory._replace(watch=watch)
+            watched, change = program.phase.exit.step(memory.watch, t - memory.phase_start, state)
+            memory = memory._replace(watch=watched)
         self.recalled = memory
         if change is None:
-            memory = self._led(state, program, memory, t)
-            if program.force:
-                memory, change = self._guard(state, program, memory, refused)
+            followed, starts = self._led(state, program, memory, t)
+            found = watch(state, program.force, memory.grips, memory.lam)
+            memory = memory._replace(followed=followed, starts=starts, grips=found.grips)
+            if found.told:
+                refused += found.told
+                change = _left(program.phase, found)
         if change is None:
             carry(state, program.phase)
         elif change.to == STOP:
@@ -276,7 +281,8 @@ class Controller:
             tau_last = program.phase.torque.inside(tau_last)
         if change is not None:
             self.recalled = memory
-            memory = self._led(state, program, memory, t)
+            followed, starts = self._led(state, program, memory, t)
+            memory = memory._replace(followed=followed, starts=starts)
         if program.phase.compliant:
             memory = memory._replace(felt=self._feel(state, program.phase, memory, tau_last))
         if not program.assemble(state, tau_last, self.dt):
@@ -327,7 +333,7 @@ class Controller:
         """Another phase begins at this tick: its contacts are held, and it is handed what goes on."""
         before, index = self._programs[memory.phase], self._index[change.to]
         after = self._programs[index]
-        state.contacts = {}
+        state.contacts, state.followed = {}, {}
         grounds = floors(state, after.phase, memory.grounds, {}) if after.phase.standing else NOTHING
         state.grounds = levels(after.phase, grounds)
         hold(state, after.phase)
@@ -360,22 +366,14 @@ class Controller:
         carry_felt(state, phase, felt)
         return felt
 
-    def _led(self, state: State, program: Program, memory: Memory, t: float) -> Memory:
-        """With what the tasks follow at this tick, and the loops of its contacts put into the state."""
+    def _led(
+        self, state: State, program: Program, memory: Memory, t: float
+    ) -> tuple[Mapping[str, Array], Mapping[str, Start]]:
+        """What the tasks follow at this tick, and their starts; the loops of its contacts are put into the state."""
         past = 0.0 if memory.t is None else t - memory.t
-        state.limited, state.gave = {}, {}
-        followed, starts = lead_in(program, state, memory.followed, memory.starts, past, self.dt)
+        state.followed, state.gave = {}, {}
         state.loops = {name: memory.loops.get(name, _NEW_LOOP) for name in program.phase.contacts}
-        return memory._replace(followed=followed, starts=starts)
-
-    @staticmethod
-    def _guard(state: State, program: Program, memory: Memory, refused: list[str]) -> tuple[Memory, Change | None]:
-        """What is believed of the contacts that press; the phase's way out where one has just been lost."""
-        found = watch(state, program.force, memory.grips, memory.lam)
-        refused += found.told
-        exit = program.phase.exit
-        change = Change(exit.lost, found.told[0], found.lost) if found.lost and exit and exit.lost else None
-        return memory._replace(grips=found.grips), change
+        return lead_in(program, state, memory.followed, memory.starts, past, self.dt)
 
     def _accept(
         self, program: Program, state: State, solution: Solution, tau_last: Array, memory: Memory, t: float,
@@ -398,7 +396,9 @@ class Controller:
             active = (*(f"{name}.dropped" for name in dropped), *active)
             hold(state, self._programs[memory.phase].phase)
         good = 0 if missed >= MISSED_DEGRADED else memory.good + 1
-        status, reason = _rated(program, solution, active, dropped, refused, [*state.gave.values()], missed, good)
+        status, reason = Status.OK, ""
+        if active or refused or good < GOOD_TICKS or program.yielded:
+            status, reason = _rated(program, solution, active, dropped, refused, [*state.gave.values()], missed, good)
         grounds = floors(state, program.phase, memory.grounds, wrenches) if program.phase.standing else NOTHING
         by_robot = self.robot.gravity == "robot"
         gravity = state.gravity() if by_robot else memory.gravity
@@ -429,7 +429,7 @@ def _rated(
     program: Program, solution: Solution, active: Sequence[str], dropped: Sequence[str], refused: list[str],
     gave: list[str], missed: int, good: int,
 ) -> tuple[Status, str]:  # fmt: skip
-    """How good a certified tick is, and why it is not OK."""
+    """How good a certified tick is at which something is to be told, and what."""
     status, reason = Status.OK, ""
     if active or refused or program.yielded:
         status, told = Status.LIMITED, list(refused)
@@ -445,6 +445,12 @@ def _rated(
         status = Status.DEGRADED
         reason = reason or (f"{missed} ticks missed" if late else f"recovering: {good} of {GOOD_TICKS} good ticks")
     return status, reason
+
+
+def _left(phase: Phase, found: Guarded) -> Change | None:
+    """The phase's way out, where a contact has just been lost."""
+    lost = phase.exit.lost if phase.exit is not None and found.lost else ""
+    return Change(lost, found.told[0], found.lost) if lost else None
 
 
 def _told(phase: Phase, change: Change) -> str:

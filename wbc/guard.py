@@ -24,8 +24,8 @@ import numpy as np
 
 from . import kernels
 from .qp import Array
-from .robot import State
-from .task import ForceTask, Released
+from .state import State
+from .task.force import ForceTask, Released
 
 if TYPE_CHECKING:
     from .contact import Held
@@ -86,6 +86,7 @@ class Guarded(NamedTuple):
 
 
 NEW = Grip()
+UNGUARDED = Guarded({})
 
 
 def watch(
@@ -95,6 +96,8 @@ def watch(
 
     Takes readings that are not believed out of `state.measured`, and puts lost contacts into `state.released`.
     """
+    if not force:
+        return UNGUARDED
     now: dict[str, Grip] = {}
     told: tuple[str, ...] = ()
     lost = ""
@@ -123,17 +126,13 @@ def _tick(state: State, name: str, task: ForceTask, grip: Grip, lam: Array | Non
     known = grip.held >= HELD_TICKS
     offset = grip.offset if grip.offset.size == k else np.zeros(k)
     alpha = state.dt / FORGIVES if known else 1.0 / (grip.held + 1.0)
-    grown, out = np.empty(k), np.empty(5)
-    kernels.press(
-        _NO_WRENCH if F is None else F, held.inverse, held.A, lam, offset, desired, held.slip, alpha, grown, out
-    )
-    at = Pressed(*out.tolist())
+    grown = np.empty(k)
+    read = _NO_WRENCH if F is None else F
+    at = Pressed._make(kernels.press(read, held.inverse, held.A, lam, offset, desired, held.slip, alpha, grown))
     if grip.lost >= 0:
         return _hold_still(state, name, task, grip, at, F, desired)
-    if known and at.wanted > LEAST:
-        strayed = (grip.strayed + at.speed * state.dt) * (1.0 - state.dt / FORGETS)
-    else:
-        strayed = 0.0
+    presses = known and at.wanted > LEAST
+    strayed = (grip.strayed + at.speed * state.dt) * (1.0 - state.dt / FORGETS) if presses else 0.0
     if F is None:
         silent = grip.silent + 1 if grip.silent >= 0 else -1
         said = "no reading" if silent > SILENT_TICKS and task.listens else ""
@@ -141,37 +140,37 @@ def _tick(state: State, name: str, task: ForceTask, grip: Grip, lam: Array | Non
         return _by_motion(state, name, grip, held, at, said)
     if grip.calm >= 0:
         return _not_believed(state, name, grip._replace(strayed=strayed, silent=0), held, at)
-    if not task.listens:  # what nobody goes by need not be right
-        at = at._replace(surprise=0.0)
-    return _believed(state, name, grip, held, at, strayed, grown)
+    loose = presses and TURNED * at.wanted < at.had < LOOSE * at.wanted
+    if loose or (task.listens and _odd(known, at)):  # what nobody goes by need not be right
+        return _doubted(state, name, grip, held, at, strayed, loose)
+    if presses and (strayed < -FAR or at.speed < -LEAVES):
+        return _lose(state, name, grip, held, "left: it moves away from what it presses on")
+    if known:
+        return Grip(grip.held, grown, strayed, 0), ""
+    return (Grip(grip.held + 1, grown, 0.0, 0) if at.had >= 0.5 * at.wanted else Grip(silent=0)), ""
 
 
-def _odd(grip: Grip, at: Pressed) -> bool:
+def _odd(known: bool, at: Pressed) -> bool:
     """Whether a reading is no continuation of what was. Before a contact is known only the opposite of what must be
     read is: landings are rough."""
-    gate = max(GATE[0], GATE[1] * at.wanted)
-    if grip.held >= HELD_TICKS:
+    gate = _gate(at.wanted)
+    if known:
         return at.surprise > gate
     return at.had * at.asked < 0.0 and at.surprise > gate + 0.4 * at.wanted
 
 
-def _believed(
-    state: State, name: str, grip: Grip, held: Held, at: Pressed, strayed: float, grown: Array
+def _gate(wanted: float) -> float:
+    return max(GATE[0], GATE[1] * wanted)
+
+
+def _doubted(
+    state: State, name: str, grip: Grip, held: Held, at: Pressed, strayed: float, loose: bool
 ) -> tuple[Grip, str]:
-    """A tick whose sensor has been right so far."""
-    known, wanted = grip.held >= HELD_TICKS, at.wanted
-    presses = known and wanted > LEAST
-    loose = presses and TURNED * wanted < at.had < LOOSE * wanted
-    if not loose and not _odd(grip, at):
-        if presses and (strayed < -FAR or at.speed < -LEAVES):
-            return _lose(state, name, grip, held, "left: it moves away from what it presses on")
-        if known:
-            return Grip(grip.held, grown, strayed, 0), ""
-        return (Grip(grip.held + 1, grown, 0.0, 0) if at.had >= 0.5 * wanted else Grip(silent=0)), ""
+    """A tick whose reading is doubtful, of a sensor that has been right so far."""
     odd, count = grip.odd + 1, grip.loose + 1 if loose else 0
     if count >= LOOSE_TICKS:
         return _lose(state, name, grip, held, f"lost: less than {LOOSE:.0%} of its force for {LOOSE_TICKS} ticks")
-    turned = abs(at.had + at.asked) < -TURNED * max(wanted, at.asked)
+    turned = abs(at.had + at.asked) < -TURNED * max(at.wanted, at.asked)
     grip = Grip(grip.held, grip.offset, strayed, 0, odd, count, 0 if odd >= ODD_TICKS else -1, turned)
     if odd >= ODD_TICKS:
         return _not_believed(state, name, grip, held, at)
@@ -185,8 +184,8 @@ def _believed(
 
 def _not_believed(state: State, name: str, grip: Grip, held: Held, at: Pressed) -> tuple[Grip, str]:
     """A tick whose sensor is wrong, until it agrees for long enough."""
-    gate = max(GATE[0], GATE[1] * at.wanted)
-    agrees = at.surprise < 0.5 * gate if grip.held >= HELD_TICKS else not _odd(grip, at)
+    known = grip.held >= HELD_TICKS
+    agrees = at.surprise < 0.5 * _gate(at.wanted) if known else not _odd(known, at)
     calm = grip.calm + 1 if agrees else 0
     if calm >= CALM_TICKS:
         return Grip(grip.held, grip.offset, grip.strayed, 0), ""

@@ -173,7 +173,8 @@ def solve(
         at = rows.A @ free.x
         off = np.where(at > rows.hi, at - rows.hi, np.where(at < rows.lo, at - rows.lo, 0.0))
         left.append(np.where(hard, at - rows.lo, off))
-        decided = hard | (np.abs(off) > 1e-9 * (1.0 + np.abs(at)))
+        # what a certified answer may be off by is no violation: decided, it would take a direction from levels below
+        decided = hard | (np.abs(off) > tolerance.primal * (1.0 + np.abs(at)))
         free.settle()
         free.bind(rows.A[~decided], rows.lo[~decided], rows.hi[~decided])
         if found is None:

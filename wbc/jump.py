@@ -16,9 +16,10 @@ import pinocchio as pin
 from .handover import Start
 from .kernels import approach, jumped
 from .lead import Lead
-from .phase import Phase, Program
+from .phase import Phase
+from .program import Program
 from .qp import Array
-from .robot import State
+from .state import State
 
 LEAST = np.array([2e-3, 1e-2, 2e-2, 1e-1])  # [m], [rad], [m/s], [rad/s] between two ticks that make a jump
 NEVER = np.full(4, np.inf)
@@ -33,7 +34,7 @@ def lead_in(
 ) -> tuple[dict[str, Array], Mapping[str, Start]]:
     """What the tasks follow at this tick, and the starts of tasks, with those of jumps.
 
-    `past` [s] since the last tick, `dt` the tick. Fills in `state.starts`, `state.limited` and `state.gave`.
+    `past` [s] since the last tick, `dt` the tick. Fills in `state.starts`, `state.followed` and `state.gave`.
     """
     now: dict[str, Array] = {}
     h = min(past, TICKS * dt)
@@ -55,12 +56,12 @@ def lead_in(
             state.gave[f"{name}.jump"] = f"the reference of {name} has jumped: it is led in within {left:.2g} s"
     for contact, (name, force) in program.force.items():
         wanted, before = force.desired(state), followed.get(name)
-        reached = np.empty(wanted.size)
-        known = before if before is not None and before.shape == wanted.shape else wanted
-        if approach(known, wanted, force.rate, state.dt, reached):
-            state.limited[contact] = wanted = reached
-            state.gave[f"{name}.jump"] = f"the target of {name} has jumped: it is followed at its rate"
-        now[name] = wanted
+        if before is not None and before is not wanted and before.shape == wanted.shape:
+            reached = np.empty(wanted.size)
+            if approach(before, wanted, force.rate, state.dt, reached):
+                state.gave[f"{name}.jump"] = f"the target of {name} has jumped: it is followed at its rate"
+            wanted = reached
+        state.followed[contact] = now[name] = wanted
     return now, starts
 
 

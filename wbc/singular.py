@@ -23,7 +23,7 @@ import pinocchio as pin
 from . import kernels
 from .dynamics import inertia, mobility
 from .qp import Array
-from .robot import State
+from .state import State
 
 LEAST = 0.03  # s_0, the singular value below which a task is damped
 BACK = (25.0, 10.0)  # [1/s^2], [1/s] with which joints that no posture holds go back to the start
@@ -71,7 +71,7 @@ def _rank(G: Array, first: int) -> int:
 def _values(G: Array, first: int) -> Array:
     r = len(G) - first
     values, U = np.empty(r), np.empty((r, r))
-    kernels.singular(G, first, np.inf, values, U)
+    kernels.singular(G, first, values, U)
     return values
 
 
@@ -82,10 +82,11 @@ def ease(
 
     Away from there they are those that were given, and infinity. `free`: (nv,) vdot without task and contacts.
     """
+    if kernels.far(G, first, law.least):
+        return b, np.inf
     r = b.size - first
     values, U = np.empty(r), np.empty((r, r))
-    if not kernels.singular(G, first, law.least, values, U):
-        return b, np.inf
+    kernels.singular(G, first, values, U)
     order = np.argsort(values)[r - law.rank :]
     lost = order[values[order] < law.least]
     if not lost.size:

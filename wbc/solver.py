@@ -1,8 +1,9 @@
 """Solvers behind one interface: `solve(problem) -> (x, z)`; whatever they claim, the certificate decides.
 
 `x` (n,) is the minimiser, `z` (n + m,) the multipliers of the bounds, then of the rows, positive at an upper bound.
-An object of one's own needs only `solve(problem)`, which answers arrays of its own and writes to none of the problem's;
-`restart()`, when it has one, is called after a refused answer: what it remembers then leads astray.
+An object of one's own needs only `solve(problem)`, which writes to none of the problem's arrays: what it writes is
+undone and its answer refused, for the certificate would be that of another problem. `restart()`, when it has one, is
+called after a refused answer: what it remembers then leads astray.
 """
 
 from __future__ import annotations
@@ -56,26 +57,41 @@ def answer(solver: Solver, problem: Problem, tolerance: Certificate = TOLERANCE)
 
 
 def _attempt(solver: Solver, problem: Problem, tolerance: Certificate) -> Solution:
+    if type(solver) is Daqp or type(solver) is ProxQP:  # others may do anything
+        return _certified(solver, problem, tolerance)
+    parts = (problem.stack, problem.g, problem.lo, problem.hi)
+    kept = [part.copy() for part in parts]
+    solution = _certified(solver, problem, tolerance)
+    if all(part.tobytes() == before.tobytes() for part, before in zip(parts, kept, strict=True)):
+        # plain arrays of our own: its next answer may overwrite these, and a mask would leave out what is certified
+        return solution._replace(x=np.array(solution.x), z=np.array(solution.z)) if solution.accepted else solution
+    for part, before in zip(parts, kept, strict=True):
+        part[...] = before
+    return refused("the solver wrote to the arrays of the problem")
+
+
+def _certified(solver: Solver, problem: Problem, tolerance: Certificate) -> Solution:
     try:
         found = solver.solve(problem)
     except Exception as error:  # a foreign object must not take the loop down
-        return _refused(f"{_RAISED}{type(error).__name__}: {error}")
+        return refused(f"{_RAISED}{type(error).__name__}: {error}")
     try:
         x, z = found
         certificate = certify(problem, x, z)
     except Exception as error:
-        return _refused(f"the solver answered no (x, z) of float arrays: {type(error).__name__}: {error}")
+        return refused(f"the solver answered no (x, z) of float arrays: {type(error).__name__}: {error}")
     primal, dual, gap = certificate
     if primal <= tolerance.primal and dual <= tolerance.dual and gap <= tolerance.gap:  # False also for NaN
         return Solution(x, z, certificate, True)
     if x.shape != problem.g.shape or z.shape != problem.lo.shape:
         expected = f"expected {problem.g.shape}, {problem.lo.shape}"
-        return _refused(f"the solver answered arrays of shapes {x.shape}, {z.shape}; {expected}")
+        return refused(f"the solver answered arrays of shapes {x.shape}, {z.shape}; {expected}")
     reason = f"no certified answer: primal {primal:.1e}, dual {dual:.1e}, gap {gap:.1e}"
     return Solution(x, z, certificate, False, reason)
 
 
-def _refused(reason: str) -> Solution:
+def refused(reason: str) -> Solution:
+    """No answer, and why."""
     return Solution(np.zeros(0), np.zeros(0), UNCERTIFIED, False, reason)
 
 

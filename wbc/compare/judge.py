@@ -4,26 +4,30 @@ Every solver answers as it would in the controller, warm from the problem before
 problems each and in an order that rotates, so that what else the machine does falls on all of them alike. The time is
 that of `solve` alone, of both attempts where a refused answer was asked for again.
 
-A torque is held against the best answer known: among the certified ones and their polished version (the same active
-constraints, their KKT system solved directly) the one with the lowest residual.
+A solver that is named, or can be pickled, answers in a process of its own, and has a time limit for each problem: what
+does not answer is refused, and the rest goes on.
+
+A torque is held against the best answer known (`known`).
 """
 
 from __future__ import annotations
 
 import gc
 import math
-import time
+import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..errors import ProblemError, SolverError
-from ..qp import Array, Problem, certify
-from ..solver import Solution, Solver, answer, installed, make, tuned
-from .bound import Bound
+from ..qp import Array, Problem
+from ..solver import Solver, installed, make, tuned
+from .ask import Asked, Asker, Timed
+from .known import Known
+from .process import Isolated
 from .record import INFEASIBLE, Progress, Recorded
 
 _BLOCK = 10  # problems in a row: as in a control loop, a solver finds some of its code in the cache
@@ -31,6 +35,7 @@ _FATES = ("solved", "wrong", "refused")
 _CERTIFIED = ("tau_error", "primal", "dual", "gap")
 RATIOS = np.logspace(0.0, 3.0, 31).round(3)  # to the fastest solver, at which a performance profile is told
 
+TIMEOUT = 5.0  # [s] for a problem: fifty times what the slowest takes that come to an end
 AGREES = 1e-6  # [N m] what certified torques may always differ by from the best answer
 
 
@@ -52,6 +57,7 @@ def compare(
     solvers: Sequence[str | Solver] | Mapping[str, str | Solver] | None = None,
     passes: int = 3,
     progress: Progress | None = None,
+    timeout: float | None = TIMEOUT,
 ) -> dict[str, Any]:
     """Give every problem to every solver: names, objects with `solve(problem)`, or a mapping; default all `offered`.
 
@@ -68,29 +74,32 @@ def compare(
     the median [us] of feasible ones by number of unknowns; `profile`, the share of feasible problems that it solves
     within each of `ratios` times the time of the fastest (Dolan and More, 2002).
 
-    Raises ProblemError without problems, SolverError without solvers and for one that does not exist.
+    `timeout` [s] is for each problem: a process that has not answered by then is ended, and the problem counts as
+    refused (`timed_out` of them; `crashed` those at which a process ended by itself); after five in a row the solver is
+    asked no more, and the rest counts as the last. An object that cannot be pickled, or not rebuilt in another process,
+    is asked in this one, where nothing ends it (`timeout` of its row is None); with `timeout=None` every solver is.
+    `progress` is told the number of problems done.
+
+    Raises ProblemError without problems, SolverError without solvers, for one that does not exist, and for a `timeout`
+    that is none.
     """
     if not recorded:
         raise ProblemError("no problems to compare solvers on")
-    tallies = {name: _Tally(make(solver), len(recorded)) for name, solver in _named(solvers).items()}
-    if not tallies:
+    named = _named(solvers)
+    if not named:
         raise SolverError("no solvers to compare")
-    order, tau_max, bounds = list(tallies), 0.0, dict[int, Known]()
-    for tally in tallies.values():
-        tally.ask(recorded[0].problem)  # imports and allocates: not what is measured
-    with _frozen():
-        for turn, start in product(range(passes), range(0, len(recorded), _BLOCK)):
-            block = recorded[start : start + _BLOCK]
-            answers = {name: [tallies[name].ask(item.problem) for item in block] for name in order}
-            for i, item in enumerate(block):
-                known = bounds[start + i] = bounds.get(start + i) or Known(item)
-                known.learn([answers[name][i].solution for name in order])
-                for name in order:
-                    tallies[name].judge(start + i, answers[name][i], known)
-                tau_max = max(tau_max, 0.0 if known.tau is None else float(np.abs(known.tau).max()))
-            order = order[1:] + order[:1]
-            if progress is not None and turn == passes - 1:
-                progress(start + len(block))
+    if timeout is not None and not 0.0 < timeout < 1e6:  # also for NaN
+        raise SolverError(f"timeout {timeout:g}: expected a time above 0 [s]")
+    tallies = dict[str, _Tally]()
+    try:
+        for name, solver in named.items():
+            made = make(solver)  # better said before than by a process
+            asker = _asker(solver, made, timeout, recorded[0].problem)
+            tallies[name] = _Tally(asker, timeout if isinstance(asker, Isolated) else None, len(recorded))
+        tau_max = _ask_all(tallies, recorded, passes, progress)
+    finally:
+        for tally in tallies.values():
+            tally.asker.close()
     times = {name: tally.times() for name, tally in tallies.items()}
     fastest = np.min(list(times.values()), axis=0)
     told = {name: tally.told(recorded) for name, tally in tallies.items()}
@@ -99,8 +108,48 @@ def compare(
         row["profile"] = _profile(times[name][feasible], fastest[feasible])
     return {
         "problems": len(recorded), "infeasible": int((~feasible).sum()), "tau_max": tau_max,
-        "ok": not any(row["accepted_wrong"] for row in told.values()), "ratios": RATIOS.tolist(), "solvers": told,
+        "ok": not any(row["accepted_wrong"] for row in told.values()), "ratios": RATIOS.tolist(), "timeout": timeout,
+        "solvers": told,
     }  # fmt: skip
+
+
+def _asker(solver: str | Solver, made: Solver, timeout: float | None, first: Problem) -> Asker:
+    """In a process of its own where that can be; warm: what it imports and allocates is not what is measured."""
+    if timeout is not None:
+        try:
+            return Isolated(solver if isinstance(solver, str) else pickle.dumps(solver), timeout, first)
+        except Exception:  # whatever pickling raises
+            if isinstance(solver, str):
+                raise
+    timed = Timed(made)
+    timed.one(first)
+    return timed
+
+
+def _ask_all(
+    tallies: Mapping[str, _Tally], recorded: Sequence[Recorded], passes: int, progress: Progress | None
+) -> float:
+    """Every problem to every solver, `passes` times; the largest torque [N m]."""
+    order, tau_max, bounds = list(tallies), 0.0, dict[int, Known]()
+    done, whole = 0, passes * len(tallies) * len(recorded)
+    with _frozen():
+        for _, start in product(range(passes), range(0, len(recorded), _BLOCK)):
+            block = recorded[start : start + _BLOCK]
+            answers: dict[str, dict[int, Asked]] = {}
+            for name in order:
+                answers[name] = tallies[name].ask(start, block)
+                done += len(block)
+                if progress is not None:
+                    progress(done * len(recorded) // whole)
+            for i, item in enumerate(block, start):
+                known = bounds[i] = bounds.get(i) or Known(item)
+                known.learn([answers[name][i].solution for name in order if i in answers[name]])
+                for name in order:
+                    if i in answers[name]:
+                        tallies[name].judge(i, answers[name][i], known)
+                tau_max = max(tau_max, 0.0 if known.tau is None else float(np.abs(known.tau).max()))
+            order = order[1:] + order[:1]
+    return tau_max
 
 
 def _profile(times: Array, fastest: Array) -> list[float]:
@@ -134,46 +183,27 @@ def _frozen() -> Iterator[None]:
         gc.unfreeze()
 
 
-class _Asked(NamedTuple):
-    solution: Solution
-    claimed: bool  # the solver answered, in its last attempt, and did not say that it failed
-    attempts: int
-    us: float  # of all attempts
-
-
 class _Tally:
-    """One solver with a clock, and what became of its answers."""
+    """One solver, and what became of its answers."""
 
-    def __init__(self, solver: Solver, problems: int) -> None:
-        self._solver = solver
-        restart = getattr(solver, "restart", None)
-        if restart is not None:
-            self.restart = restart
+    def __init__(self, asker: Asker, timeout: float | None, problems: int) -> None:
+        self.asker, self._timeout = asker, timeout
         self._fate, self._retried, self._deceived = ["solved"] * problems, [False] * problems, [False] * problems
+        self._timed_out, self._crashed = [False] * problems, [False] * problems
         self._tau_error, self._residual = [list[float]() for _ in range(problems)], list[float]()
         self._certified: list[tuple[float, ...]] = []  # torque error, allowed, primal, dual, gap
         self._times = [list[float]() for _ in range(problems)]  # [us]
 
-    def ask(self, problem: Problem) -> _Asked:
-        """As the controller asks, with the clock running."""
-        self._seconds, self._attempts, self._claimed = 0.0, 0, False
-        solution = answer(self, problem)
-        return _Asked(solution, self._claimed, self._attempts, 1e6 * self._seconds)
+    def ask(self, start: int, block: Sequence[Recorded]) -> dict[int, Asked]:
+        """Answers by the number of their problem; what once ended the process is not asked again."""
+        members = [i for i in range(start, start + len(block)) if not (self._timed_out[i] or self._crashed[i])]
+        return dict(zip(members, self.asker.ask([block[i - start].problem for i in members]), strict=True))
 
-    def solve(self, problem: Problem) -> tuple[Array, Array]:
-        self._claimed, self._attempts = False, self._attempts + 1
-        began = time.perf_counter()
-        try:
-            found = self._solver.solve(problem)
-        finally:
-            self._seconds += time.perf_counter() - began
-        self._claimed = bool(getattr(self._solver, "claims", True))
-        return found
-
-    def judge(self, i: int, asked: _Asked, known: Known) -> None:
+    def judge(self, i: int, asked: Asked, known: Known) -> None:
         """Count the answer to problem i; the worst of its passes stands."""
         x, z, certificate, accepted, _ = asked.solution
         self._retried[i] |= asked.attempts > 1
+        self._timed_out[i], self._crashed[i] = asked.timed_out, asked.crashed
         self._times[i].append(asked.us)
         if not accepted and self._fate[i] != "wrong":
             self._fate[i] = "wrong" if asked.claimed else "refused"
@@ -194,16 +224,18 @@ class _Tally:
 
     def told(self, recorded: Sequence[Recorded]) -> dict[str, Any]:
         certified = np.max([each[:1] + each[2:] for each in self._certified], axis=0) if self._certified else None
+        sizes = [0 if item.kind == INFEASIBLE else item.problem.g.size for item in recorded]
         return self._counts(range(len(recorded))) | {
-            "retried": sum(self._retried),
+            "retried": sum(self._retried), "timed_out": sum(self._timed_out), "crashed": sum(self._crashed),
+            "timeout": self._timeout,
             "max_kkt_residual": _worst(self._residual),
             "us": dict(zip(("p50", "p99", "max"), self._percentiles(range(len(recorded))), strict=True)),
             "tolerance": max(self._certified)[1] if self._certified else AGREES,
             "accepted_wrong": sum(self._deceived),
             "certified": dict(zip(_CERTIFIED, [None] * 4 if certified is None else certified.tolist(), strict=True)),
             "kinds": {kind: {"problems": len(of)} | self._counts(of) for kind, of in _by([r.kind for r in recorded])},
-            "growth": {str(n): self._percentiles(of)[0] for n, of in sorted(_by([r.problem.g.size for r in recorded]))},
-        }
+            "growth": {str(n): self._percentiles(of)[0] for n, of in sorted(_by(sizes)) if n},
+        }  # fmt: skip
 
     def _counts(self, members: Sequence[int]) -> dict[str, Any]:
         fates = [self._fate[i] for i in members]
@@ -224,54 +256,3 @@ def _worst(values: list[float]) -> float | None:
     """The largest; None without values, and where one is not finite (JSON has no word for it)."""
     worst = float(np.max(values)) if values else math.nan
     return worst if math.isfinite(worst) else None
-
-
-class Known:
-    """What is known of the answer to a problem: the best of all that were certified, or polished from those."""
-
-    def __init__(self, item: Recorded) -> None:
-        self._item, self.infeasible = item, item.kind == INFEASIBLE
-        self._residual, self._z = math.inf, item.problem.lo
-        self.tau: Array | None = None  # [N m]
-        self._bound: Bound | None = None
-
-    def learn(self, solutions: list[Solution]) -> None:
-        problem = self._item.problem
-        certified = [solution for solution in solutions if solution.accepted and max(solution.certificate) < math.inf]
-        if not certified:
-            return
-        best = min(certified, key=lambda solution: max(solution.certificate))
-        if max(best.certificate) >= self._residual:
-            return
-        self._residual, x, self._z = max(best.certificate), best.x, best.z
-        polished = certify(problem, *(found := _polished(problem, best.z)))
-        if max(polished) < self._residual:  # False also for NaN
-            self._residual, (x, self._z) = max(polished), found
-        self.tau = self._item.torque(x)
-
-    def error(self, x: Array) -> float:
-        """[N m] of the torque of x; NaN where there is nothing to compare."""
-        if self.tau is None or x.shape != self._item.problem.g.shape:
-            return math.nan
-        return float(np.abs(self._item.torque(x) - self.tau).max())
-
-    def allowed(self, x: Array, z: Array) -> float:
-        """[N m] what the residuals of (x, z) leave open, and the known answer with them."""
-        self._bound = self._bound or Bound(self._item)
-        return self._bound(x, z, self._z)
-
-
-def _polished(problem: Problem, z: Array, least: float = 1e-9) -> tuple[Array, Array]:
-    """The answer whose active constraints are those of `z`, with one step of iterative refinement."""
-    H, g, C, lo, hi, n_eq, _ = problem
-    n = g.size
-    active = np.abs(z) > least
-    active[n : n + n_eq] = True
-    G = np.concatenate((np.eye(n), C))[active]
-    K = np.block([[H, G.T], [G, np.zeros((len(G), len(G)))]])
-    rhs = np.concatenate((-g, np.where(z > 0.0, hi, lo)[active]))
-    solution = np.linalg.lstsq(K, rhs)[0]
-    solution += np.linalg.lstsq(K, rhs - K @ solution)[0]
-    multipliers = np.zeros(lo.size)
-    multipliers[active] = solution[n:]
-    return solution[:n], multipliers

@@ -21,13 +21,15 @@ def table(result: Mapping[str, Any]) -> Group:
 
 def _answers(result: Mapping[str, Any]) -> Table:
     none = f", {result['infeasible']} of them infeasible" if result["infeasible"] else ""
+    late = "" if result["timeout"] is None else f", at most {result['timeout']:g} s each"
     shown = _table(
-        f"{result['problems']} quadratic programs{none}, torques up to {result['tau_max']:.3g} N m; certified answers:",
+        f"{result['problems']} quadratic programs{none}{late}; torques up to {result['tau_max']:.3g} N m; "
+        "certified answers:",
         *(*_FATES, "wrong but accepted", "torque error [N m]", "allowed", "primal", "dual", "gap"),
         *("p50 [us]", "p99", "max"),
     )
     for name, row in result["solvers"].items():
-        counts = [str(row["solved"]), str(row["refused"]), _red(row["wrong"]), _red(row["accepted_wrong"])]
+        counts = [str(row["solved"]), _refused(row), _red(row["wrong"]), _red(row["accepted_wrong"])]
         certified = row["certified"]
         errors = [certified["tau_error"], row["tolerance"], *(certified[key] for key in ("primal", "dual", "gap"))]
         shown.add_row(name, *counts, *map(_size, errors), *(f"{us:.0f}" for us in row["us"].values()))
@@ -50,7 +52,7 @@ def _kinds(result: Mapping[str, Any]) -> Table:
 def _growth(result: Mapping[str, Any]) -> Table:
     rows = result["solvers"]
     sizes = list(next(iter(rows.values()))["growth"])
-    shown = _table("median [us] by number of unknowns", *sizes)
+    shown = _table("median [us] of feasible programs by number of unknowns", *sizes)
     for name, row in rows.items():
         shown.add_row(name, *(f"{row['growth'][n]:.0f}" for n in sizes))
     return shown
@@ -63,6 +65,12 @@ def _table(title: str, *headings: str) -> Table:
     for heading in headings:
         shown.add_column(heading, justify="right")
     return shown
+
+
+def _refused(row: Mapping[str, Any]) -> str:
+    """With those of them that no word of the solver refused."""
+    of_them = [f"{row[key]} {told}" for key, told in (("timed_out", "too late"), ("crashed", "crashed")) if row[key]]
+    return str(row["refused"]) + (f" ({', '.join(of_them)})" if of_them else "")
 
 
 def _red(count: int) -> Any:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from numba import types
+
 from .compiled import NOTHING, TRUTH, Array, F, V, compiled, m, v
 
 
@@ -79,12 +81,12 @@ def advance(
     return short <= 1e-14 * size
 
 
-@compiled(NOTHING, v, m, m, v, v, v, v, F, V, V)
+@compiled(types.UniTuple(F, 5), v, m, m, v, v, v, v, F, V)  # type: ignore[no-untyped-call]
 def press(
     measured: Array, inverse: Array, A: Array, lam: Array, offset: Array, desired: Array, slip: Array, alpha: float,
-    grown: Array, out: Array,
-) -> None:  # fmt: skip
-    """How a reading fits to what was pressed with: `out` is (measured, asked, wanted force, speed, surprise).
+    grown: Array,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """How a reading fits to what was pressed with: measured, asked and wanted force, speed, surprise.
 
     Along the force of A' desired [N]: the measured force, that of the last multipliers `lam`, the desired one, and the
     speed [m/s] of the frame; then |f| [N] of A' (lambda_m - lam - offset), lambda_m = (A')^+ F. `grown` = offset +
@@ -115,8 +117,6 @@ def press(
     power = 0.0
     for i in range(k):
         power += desired[i] * slip[i]
-    out[2], out[4] = size, math.sqrt(odd)
     if size > 0.0:
-        out[0], out[1], out[3] = had / size, asked / size, power / size
-    else:
-        out[0] = out[1] = out[3] = 0.0
+        return had / size, asked / size, size, power / size, math.sqrt(odd)
+    return 0.0, 0.0, 0.0, 0.0, math.sqrt(odd)

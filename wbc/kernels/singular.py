@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .compiled import COUNT, TRUTH, Array, F, M, V, compiled, inner, m
+from .compiled import COUNT, NOTHING, TRUTH, Array, F, M, V, compiled, inner, m
 
 _DEPENDENT = 1e-10  # of a row's square: what is left of it then is rounding
 
@@ -101,19 +101,22 @@ def _eigen(E: Array, U: Array) -> None:
                     U[k, p], U[k, q] = c * a - s * b, s * a + c * b
 
 
-@compiled(TRUTH, m, COUNT, F, V, M)
-def singular(G: Array, first: int, least: float, values: Array, U: Array) -> bool:
-    """Whether some of the singular values (r,) may be below `least`: only then they, and U (r, r), are filled.
+@compiled(TRUTH, m, COUNT, F)
+def far(G: Array, first: int, least: float) -> bool:
+    """Whether all singular values of the rows `first` and on of G (first + r, n), within what the others leave free,
+    surely exceed `least`."""
+    r = G.shape[0] - first
+    E = np.empty((r, r))
+    _within(G, first, E)
+    return _surely(E, least * least)
 
-    They are those of the rows `first` and on of G (first + r, n) within what the others leave free, and U by columns
-    the directions of the rows that belong to them, in no order.
-    """
+
+@compiled(NOTHING, m, COUNT, V, M)
+def singular(G: Array, first: int, values: Array, U: Array) -> None:
+    """These singular values (r,), and U (r, r) by columns the directions of the rows that belong to them, unsorted."""
     r = values.size
     E = np.empty((r, r))
     _within(G, first, E)
-    if _surely(E, least * least):
-        return False
     _eigen(E, U)
     for i in range(r):
         values[i] = math.sqrt(max(E[i, i], 0.0))
-    return True
