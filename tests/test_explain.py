@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 import runs
-from bars import EXPLAINED
+from bars import EXPLAINED, EXPLAINING
 from click.testing import CliRunner
 from conflicts import CLEAR, KINDS, TOLERANCE, answered, generate, matches, missed, violation
 
@@ -20,7 +20,7 @@ import wbc
 from wbc import analytic
 from wbc.build import build
 from wbc.cli import main
-from wbc.conflict import FAR
+from wbc.contradiction import FAR
 from wbc.controller import Status
 from wbc.explanation import explain
 from wbc.hardness import Hard
@@ -52,13 +52,17 @@ class Rows:
 def _faults(seed):
     """What is wrong with the explanation of one seed's tick; the time that it takes, of the processor and on the clock
     [s]; and the kind of tick."""
-    made = generate(seed)
-    began = time.process_time(), time.perf_counter()
-    told = explain(made.controller)
-    took = time.process_time() - began[0], time.perf_counter() - began[1]
+    made, took = generate(seed), (np.inf, np.inf)
+    for _ in range(3):  # what else the machine does adds to it
+        if took[0] > EXPLAINING:
+            began = time.process_time(), time.perf_counter()
+            told = explain(made.controller)
+            took = min(took, (time.process_time() - began[0], time.perf_counter() - began[1]))
     names, faults = [each.name for each in told.conflict], list[str]()
     freeing = [each.name for each in told.conflict if each.frees]
     rows = Rows(made.controller)
+    if took[0] > EXPLAINING:
+        faults.append(f"not explained in time: {1e3 * took[0]:.0f} ms")
     if not all(matches(culprit, names) for culprit in made.culprits):
         faults.append(f"named {names}, the culprits are {made.culprits}")
     if answered(*rows.of(names), within=FAR):
@@ -79,7 +83,7 @@ def _faults(seed):
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_known_culprits_are_named_and_every_set_is_minimal(record_property):
-    """By another solver, on the rows as they stand, to `conflicts.TOLERANCE`; how long it takes is told, not judged."""
+    """By another solver, on the rows as they stand, to `conflicts.TOLERANCE`; in time."""
     explain(generate(0).controller)  # what is imported and compiled is not the tick's
     wrong, took, robots, unnamed = list[str](), list[tuple[float, float]](), list[str](), 0
     for seed in [int(ONE)] if ONE else range(COUNT):
