@@ -18,11 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from wbc.impedance import AdmittanceTask, Compliance
 from wbc.log import Log
 from wbc.material import invweight
 from wbc.response import task_parts
-from wbc.task import ForceTask, MotionTask
+from wbc.task.force import ForceTask
+from wbc.task.impedance import AdmittanceTask, Compliance
+from wbc.task.motion import MotionTask
 from wbc.wrench import ForceSensor
 
 EVERY = 10  # ticks from one evaluation of the slow errors to the next

@@ -237,6 +237,7 @@ OBSERVER_ERROR = 0.05  # [N] against the lag-filtered truth
 WIND_UP = 1.3  # the impact after 10 s of wait over that of a run without them
 TANK = 0.0  # [J] of energy, at least, on 1000 seeds with 1 to 20 ms of delay
 EXPLAINED = 0.95  # of generated ticks without an answer, whose known culprits `wbc explain` names
+EXPLAINING = 0.05  # [s] of a core, for each of them
 
 # speed [m/s] at which a singularity is crossed -> acceleration of a joint [rad/s^2], change of a torque [N m/s]
 SINGULAR: dict[float, tuple[float, float]] = {0.02: (5.0, 50.0), 0.5: (100.0, 1000.0)}

@@ -19,14 +19,14 @@ from qpsolvers import Problem, solve_problem
 
 from wbc.build import build
 from wbc.collision import SelfCollision
-from wbc.contact import MatrixContact
+from wbc.contact.axes import MatrixContact
 from wbc.controller import Controller
 from wbc.friction import unilateral
 from wbc.limit import FloatingJointLimit, JointLimit, TorqueLimit
 from wbc.phase import Phase
 from wbc.spec import load
 from wbc.surface import Sole
-from wbc.task import PostureTask
+from wbc.task.posture import PostureTask
 
 TRIES, STEPS = 200, 6
 TOLERANCE = 1e-5  # of rows of norm 1 that hold together

@@ -14,8 +14,9 @@ from wbc.controller import Controller
 from wbc.ladder import Status
 from wbc.memory import Memory, Output
 from wbc.oracle import Dynamics, closed_form
-from wbc.robot import Robot, State
-from wbc.task import ForceLoop
+from wbc.robot import Robot
+from wbc.state import State
+from wbc.task.force import ForceLoop
 from wbc.wrench import Wrench
 
 Array = np.ndarray

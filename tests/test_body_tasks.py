@@ -12,16 +12,17 @@ import pytest
 from test_floating import contacts_of
 
 from wbc.axes import MOMENTUM_AXES
-from wbc.centroidal import ComTask, MomentumTask, WholeBodyPosture, com, mass, momentum
-from wbc.contact import AxesContact
+from wbc.contact.axes import AxesContact
 from wbc.controller import Controller
-from wbc.effort import TorqueTask
 from wbc.errors import GainError, NameNotFound
 from wbc.ladder import Status
 from wbc.pair import RelativeFrame, relative_axes
 from wbc.reference import Hold, Path, sine
-from wbc.relative import BEHIND, GazeTask, RelativeTask, _stretch
-from wbc.task import MotionTask, PostureTask
+from wbc.task.centroidal import ComTask, MomentumTask, WholeBodyPosture, com, mass, momentum
+from wbc.task.effort import TorqueTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
+from wbc.task.relative import BEHIND, GazeTask, RelativeTask, _stretch
 from wbc.testing import check_task
 from wbc.wrench import VELOCITY_AXES
 

@@ -23,7 +23,9 @@ from wbc.campaign.runner import built_of, case_of, run_one
 from wbc.campaign.scenario import ENDING, scenario
 from wbc.cli import main
 from wbc.errors import InvariantError
-from wbc.invariant import Watched, certificate, mark
+from wbc.invariant import Watched
+from wbc.invariant.certificate import certificate
+from wbc.invariant.mark import mark
 from wbc.spec.fault import KINDS
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"

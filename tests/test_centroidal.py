@@ -8,16 +8,17 @@ import pytest
 from test_floating import DOWN, FEET, contacts_of, tasks_of
 
 from wbc.analytic import surface_cone
-from wbc.centroidal import ComTask, DistributionTask, WholeBodyPosture, com, mass
-from wbc.contact import AxesContact, Contact, Settling
+from wbc.contact import Contact, Settling
+from wbc.contact.axes import AxesContact
+from wbc.contact.foot import RoundFeet, RoundFoot
 from wbc.controller import Controller
 from wbc.errors import GainError, WrenchError
-from wbc.foot import RoundFeet, RoundFoot
 from wbc.footing import Footing
 from wbc.phase import hold, place
 from wbc.reference import Hold, Path, sine
 from wbc.surface import Sole
-from wbc.task import MotionTask
+from wbc.task.centroidal import ComTask, DistributionTask, WholeBodyPosture, com, mass
+from wbc.task.motion import MotionTask
 from wbc.testing import check_contact, check_task
 from wbc.wrench import VELOCITY_AXES
 

@@ -22,7 +22,7 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.sim import Simulator
 from wbc.spec import load
-from wbc.task import PostureTask
+from wbc.task.posture import PostureTask
 
 MARGIN = 0.02  # [m]
 SLACK = 1e-3  # [m] by which it may be missed

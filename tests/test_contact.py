@@ -6,7 +6,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from wbc.contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact, complement
+from wbc.contact import Contact, complement
+from wbc.contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from wbc.contact.screw import ScrewContact
+from wbc.contact.sphere import SphereContact
 from wbc.errors import WrenchError
 from wbc.testing import check_contact
 from wbc.wrench import VELOCITY_AXES

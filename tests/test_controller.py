@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import wbc
-import wbc.task
 from wbc.errors import NameNotFound, SolverError, StateError
 from wbc.ladder import GOOD_TICKS, HOLD_TICKS, Status
 from wbc.phase import hold
 from wbc.solver import Daqp
+from wbc.task.force import ForceLoop
 
 SPEC = wbc.load("eraser")
 ROBOT = wbc.Robot.load("panda", tool="eraser", scene="board")
@@ -341,7 +341,7 @@ def test_motion_and_posture_of_equal_weight_are_one_cost_and_the_same_problem(la
         for merged in (kept, None):
             program.merged = merged
             hold(state, program.phase)
-            state.loops = {"board": wbc.task.ForceLoop()}
+            state.loops = {"board": ForceLoop()}
             assert program.assemble(state, state.h, 0.001)
             seen.append(program.strict.problem.copy())
             program.merged = kept

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from wbc import analytic
-from wbc.contact import AxesContact, SphereContact
+from wbc.contact.axes import AxesContact
+from wbc.contact.sphere import SphereContact
 from wbc.dynamics import inertia, mobility, torque_map
 from wbc.wrench import Wrench
 

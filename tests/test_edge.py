@@ -14,7 +14,7 @@ from wbc import analytic
 from wbc.analytic.surface import ALONG, ENDS
 from wbc.build import build
 from wbc.contact import Settling
-from wbc.edge import Edge, EdgeContact
+from wbc.contact.edge import Edge, EdgeContact
 from wbc.errors import SpecError, WrenchError
 from wbc.footing import Footing
 from wbc.ladder import Status

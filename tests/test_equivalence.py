@@ -19,15 +19,21 @@ import pytest
 
 from tests.bars import TAU_ERROR, TAU_ERROR_MUJOCO
 from wbc import analytic
-from wbc.contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+from wbc.contact import Contact
+from wbc.contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from wbc.contact.screw import ScrewContact
+from wbc.contact.sphere import SphereContact
 from wbc.controller import Controller
 from wbc.ladder import Status
 from wbc.memory import Memory, Output
 from wbc.phase import Phase
 from wbc.qp import Array, Rows
 from wbc.reference import Path, Sample, hold, sine
-from wbc.robot import Robot, State
-from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
+from wbc.robot import Robot
+from wbc.state import State
+from wbc.task.force import ForceLoop, ForceTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 from wbc.verify import MAX_COND, MAX_COND_AJ, Dynamics, closed_form, relative
 from wbc.wrench import VELOCITY_AXES, Wrench
 

@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 import runs
-from bars import EXPLAINED
+from bars import EXPLAINED, EXPLAINING
 from click.testing import CliRunner
 from conflicts import CLEAR, KINDS, TOLERANCE, answered, generate, matches, missed, violation
 
@@ -20,7 +20,7 @@ import wbc
 from wbc import analytic
 from wbc.build import build
 from wbc.cli import main
-from wbc.conflict import FAR
+from wbc.contradiction import FAR
 from wbc.controller import Status
 from wbc.explanation import explain
 from wbc.hardness import Hard
@@ -93,7 +93,8 @@ def test_known_culprits_are_named_and_every_set_is_minimal(record_property):
         for i, clock in enumerate(("processor", "wall")):
             p50, p99, most = np.percentile(times[:, i], (50, 99, 100))
             print(f"{robot}, {len(times)} ticks, {clock}: {p50:.1f} ms median, {p99:.1f} p99, {most:.1f} max")
-    print(f"{len(took) - unnamed} of {len(took)} explained")
+    late = sum(processor > EXPLAINING for processor, _ in took)
+    print(f"{len(took) - unnamed} of {len(took)} explained, {late} of them in more than {1e3 * EXPLAINING:.0f} ms")
     record_property("explained", f"{len(took) - unnamed} of {len(took)}")
     record_property("most [ms]", 1e3 * max(processor for processor, _ in took))
     assert len(took) - unnamed >= EXPLAINED * len(took), "\n".join(wrong)

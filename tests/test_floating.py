@@ -8,17 +8,18 @@ import pinocchio as pin
 import pytest
 from oracles import accelerated, constrained, first_tick, unconstrained
 
-from wbc.centroidal import ComTask, WholeBodyPosture, com, mass
-from wbc.contact import AxesContact, Settling
+from wbc.contact import Settling
+from wbc.contact.axes import AxesContact
+from wbc.contact.foot import RoundFoot
 from wbc.controller import Controller
 from wbc.errors import ModelError
-from wbc.foot import RoundFoot
 from wbc.friction import unilateral
 from wbc.ladder import Status
 from wbc.reference import Hold
 from wbc.robot import Robot
 from wbc.surface import Sole
-from wbc.task import MotionTask
+from wbc.task.centroidal import ComTask, WholeBodyPosture, com, mass
+from wbc.task.motion import MotionTask
 from wbc.wrench import VELOCITY_AXES
 
 DOWN = np.array([0.0, 0.0, -1.0])

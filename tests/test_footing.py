@@ -9,13 +9,13 @@ from oracles import first_tick
 from test_floating import contacts_of
 
 from wbc.build import build
-from wbc.centroidal import FADE, DistributionTask, com, mass
 from wbc.footing import LIFTED, Footing
 from wbc.handover import Start
 from wbc.ladder import Status
 from wbc.resources import shipped_folder
 from wbc.run import run
 from wbc.spec import load
+from wbc.task.centroidal import FADE, DistributionTask, com, mass
 
 PAIR, PAIR_STEP = ("FL", "RR"), 0.3  # [N m] a tick
 BENT = {

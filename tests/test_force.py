@@ -22,7 +22,7 @@ from wbc.run import run
 from wbc.sim import Simulator
 from wbc.spec import load
 from wbc.stability import loop_matrix, radius
-from wbc.task import ForceTask
+from wbc.task.force import ForceTask
 from wbc.verify import _unlimited
 from wbc.wrench import Wrench
 

@@ -11,7 +11,9 @@ from runs import result
 
 from wbc import analytic, quantity
 from wbc.build import build
-from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+from wbc.contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from wbc.contact.screw import ScrewContact
+from wbc.contact.sphere import SphereContact
 from wbc.controller import Controller
 from wbc.dynamics import reaction
 from wbc.errors import SpecError, WrenchError
@@ -21,7 +23,9 @@ from wbc.oracle import relative
 from wbc.reference import Path, hold, sine
 from wbc.resources import shipped_folder
 from wbc.spec import load
-from wbc.task import ForceTask, MotionTask, PostureTask
+from wbc.task.force import ForceTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 
 DOWN = np.array([0.0, 0.0, -1.0])
 NO_LIMITS = dict.fromkeys(("torque", "torque_rate", "position", "velocity"))

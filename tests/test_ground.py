@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 
 from wbc.build import build
-from wbc.contact import WorldAxesContact
-from wbc.edge import EdgeContact
+from wbc.contact.axes import WorldAxesContact
+from wbc.contact.edge import EdgeContact
+from wbc.contact.foot import RoundFoot
 from wbc.errors import SpecError
-from wbc.foot import RoundFoot
 from wbc.reference import Path, sine
 from wbc.resources import shipped_folder
 from wbc.ride import Ride

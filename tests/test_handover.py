@@ -7,7 +7,8 @@ import pinocchio as pin
 import pytest
 
 from tests.test_reference import OFFSET, TILTED, check, scalars
-from wbc.contact import AxesContact, ScrewContact
+from wbc.contact.axes import AxesContact
+from wbc.contact.screw import ScrewContact
 from wbc.dynamics import reaction
 from wbc.handover import FADE, FADE_SPEED, FADE_TURN, Start, hand_over, take_up
 from wbc.limit import make_limits
@@ -15,7 +16,9 @@ from wbc.phase import Phase, hold
 from wbc.program import Program
 from wbc.reference import Path, constant, ramp
 from wbc.reference import hold as stay
-from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask
+from wbc.task.force import ForceLoop, ForceTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 
 LAWS = ["compensated", "book"]
 

@@ -15,7 +15,8 @@ from wbc.reference import hold
 from wbc.robot import Robot
 from wbc.solver import TOLERANCE, Daqp, make
 from wbc.spec import load
-from wbc.task import MotionTask, PostureTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 
 LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 COUNT = 500 if LARGE else 60

@@ -10,11 +10,10 @@ import yaml
 
 from wbc import analytic
 from wbc.build import build
-from wbc.contact import AxesContact
+from wbc.contact.axes import AxesContact
 from wbc.controller import Controller
 from wbc.errors import GainError, SpecError
 from wbc.free_motion import free_matrix, radius, stable_range
-from wbc.impedance import AdmittanceTask, ImpedanceTask
 from wbc.ladder import Status
 from wbc.observer import MomentumObserver
 from wbc.reference import Sample, hold
@@ -23,7 +22,9 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.sim import Simulator
 from wbc.spec import Spec, load
-from wbc.task import MotionTask, PostureTask, pose_errors
+from wbc.task.impedance import AdmittanceTask, ImpedanceTask
+from wbc.task.motion import MotionTask, pose_errors
+from wbc.task.posture import PostureTask
 from wbc.verify import verify
 from wbc.wrench import Wrench
 

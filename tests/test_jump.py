@@ -12,7 +12,6 @@ from flight import fly
 from invariants import Watched
 
 from wbc.build import build
-from wbc.centroidal import com
 from wbc.controller import Controller, Status
 from wbc.jump import LEAST
 from wbc.kernels import approach, jumped
@@ -20,10 +19,13 @@ from wbc.lead import SETTLE, SLOPE, Lead
 from wbc.reference import Path, Sample, hold, sine
 from wbc.sim import Simulator
 from wbc.spec import load
+from wbc.spec.placed import Jump
 from wbc.spec.task import ForceTask as ForceEntry
-from wbc.spec.task import Jump
 from wbc.tape import CODEC
-from wbc.task import RATE, SPEEDS, ForceTask, MotionTask, PostureTask
+from wbc.task.centroidal import com
+from wbc.task.force import RATE, ForceTask
+from wbc.task.motion import SPEEDS, MotionTask
+from wbc.task.posture import PostureTask
 
 pytestmark = pytest.mark.row(13)
 

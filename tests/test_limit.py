@@ -9,7 +9,7 @@ from wbc.controller import Controller
 from wbc.errors import GainError
 from wbc.limit import JointLimit, TorqueLimit, braking, make_limits
 from wbc.sim import Simulator
-from wbc.task import PostureTask
+from wbc.task.posture import PostureTask
 
 OVERSHOOT = 1e-3  # [rad]
 OVERSPEED = 1.01  # of the velocity limit

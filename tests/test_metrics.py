@@ -6,13 +6,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from wbc.contact import AxesContact
+from wbc.contact.axes import AxesContact
 from wbc.friction import Unilateral
 from wbc.log import Log
 from wbc.metrics import IMPACT, metrics, vocabulary
 from wbc.phase import Phase
 from wbc.reference import hold
-from wbc.task import ForceTask, MotionTask
+from wbc.task.force import ForceTask
+from wbc.task.motion import MotionTask
 
 DT, TICKS = 0.001, 400
 BOARD = AxesContact("eraser", ("wx", "vz"))

@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wbc.centroidal import WholeBodyPosture
+from wbc.contact.foot import RoundFoot
 from wbc.controller import Controller
-from wbc.foot import RoundFoot
 from wbc.friction import unilateral
 from wbc.ladder import Status
 from wbc.reference import Hold
 from wbc.sim import Simulator
-from wbc.task import MotionTask, PostureTask
+from wbc.task.centroidal import WholeBodyPosture
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 from wbc.testing import check_contact, check_task
 
 README = (Path(__file__).resolve().parent.parent / "README.md").read_text()

@@ -10,12 +10,13 @@ from oracles import accelerated, closed_form_step, constrained, first_tick, unco
 from test_floating import FREE
 
 from wbc.build import build
-from wbc.centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture, com, load, mass, momentum
 from wbc.check import check
-from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+from wbc.contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from wbc.contact.foot import RoundFoot
+from wbc.contact.screw import ScrewContact
+from wbc.contact.sphere import SphereContact
 from wbc.controller import Controller
 from wbc.errors import ModelError, SpecError
-from wbc.foot import RoundFoot
 from wbc.friction import unilateral
 from wbc.ladder import Status
 from wbc.oracle import relative
@@ -26,7 +27,10 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.spec import load as load_spec
 from wbc.surface import Sole
-from wbc.task import ForceTask, MotionTask, PostureTask
+from wbc.task.centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture, com, load, mass, momentum
+from wbc.task.force import ForceTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 from wbc.testing import check_contact, check_task
 from wbc.verify import verify
 from wbc.wrench import VELOCITY_AXES

@@ -1,6 +1,7 @@
 """Any tick of any log is solved again, bit for bit; nothing is executed from a log; two runs part where they do."""
 
 import enum
+import inspect
 import json
 import typing
 from array import array
@@ -15,9 +16,11 @@ from click.testing import CliRunner
 
 import wbc
 from wbc.again import again
+from wbc.arguments import Arguments
 from wbc.build import build
 from wbc.cli import main
 from wbc.errors import LogError
+from wbc.invariant import Watched
 from wbc.ladder import Status
 from wbc.log import Log
 from wbc.memory import Memory
@@ -181,6 +184,14 @@ def through(value):
 
 
 class TestOwnLoop:
+    def test_what_takes_a_controllers_place_is_called_as_it_is(self):
+        """One signature: that of `Controller.step`, whose arguments `Arguments` holds in their order."""
+        own = inspect.signature(wbc.Controller.step)
+        for takes in (wbc.Tape.step, Watched.step):
+            assert inspect.signature(takes) == own
+        told, held = list(own.parameters.values())[1:], list(inspect.signature(Arguments).parameters.values())
+        assert [(each.name, each.default) for each in held] == [(each.name, each.default) for each in told]
+
     def recorded(self, **changes):
         """A loop that has everything go wrong, on a controller without a spec; the tape, and the answers."""
         built = build(wbc.load("eraser", [f"{key}={value}" for key, value in changes.items()]))

@@ -11,12 +11,12 @@ import pytest
 
 from wbc import analytic
 from wbc.build import build
-from wbc.impedance import AdmittanceTask, ImpedanceTask
 from wbc.log import Log
 from wbc.reference import hold
 from wbc.response import bode, identify
 from wbc.run import run
 from wbc.spec import load
+from wbc.task.impedance import AdmittanceTask, ImpedanceTask
 
 DT, W = 1e-3, np.array([[0.3, 0.05], [0.05, 0.2]])
 M, B, K = (

@@ -18,7 +18,8 @@ from wbc.reference import Path, ScrewPath, quintic
 from wbc.singular import LEAST, smallest
 from wbc.spec import load
 from wbc.spec.task import MotionTask as MotionEntry
-from wbc.task import MotionTask, PostureTask
+from wbc.task.motion import MotionTask
+from wbc.task.posture import PostureTask
 
 pytestmark = pytest.mark.row(12)
 

@@ -7,13 +7,13 @@ import pytest
 import yaml
 
 from wbc.build import build
-from wbc.centroidal import MomentumTask
-from wbc.effort import TorqueTask
 from wbc.errors import SpecError
-from wbc.relative import GazeTask, RelativeTask
 from wbc.resources import shipped_folder
 from wbc.run import run
 from wbc.spec import Spec, load
+from wbc.task.centroidal import MomentumTask
+from wbc.task.effort import TorqueTask
+from wbc.task.relative import GazeTask, RelativeTask
 from wbc.verify import verify
 
 WALKER = (shipped_folder("tasks") / "g1_stand.yaml").read_text()

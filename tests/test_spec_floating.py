@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from wbc.build import build
-from wbc.contact import AxesContact, Settling, WorldAxesContact
+from wbc.contact import Settling
+from wbc.contact.axes import AxesContact, WorldAxesContact
+from wbc.contact.foot import RoundFoot
 from wbc.errors import SpecError
-from wbc.foot import RoundFoot
 from wbc.resources import shipped_folder
 from wbc.spec import load
 from wbc.surface import Sole

@@ -13,12 +13,12 @@ from oracles import first_tick
 from test_floating import DOWN, FREE, contacts_of, tasks_of
 
 from wbc.build import build
-from wbc.centroidal import ComTask, DistributionTask, com, mass
 from wbc.check import check
-from wbc.contact import AxesContact, Settling
+from wbc.contact import Settling
+from wbc.contact.axes import AxesContact
+from wbc.contact.foot import RoundFoot
 from wbc.controller import Controller
 from wbc.errors import LawError, NameNotFound, SpecError, StateError
-from wbc.foot import RoundFoot
 from wbc.friction import unilateral
 from wbc.ladder import Status
 from wbc.phase import place
@@ -28,7 +28,9 @@ from wbc.robot import Robot
 from wbc.run import run
 from wbc.sim import Simulator
 from wbc.spec import load
-from wbc.task import ForceTask, MotionTask
+from wbc.task.centroidal import ComTask, DistributionTask, com, mass
+from wbc.task.force import ForceTask
+from wbc.task.motion import MotionTask
 from wbc.transition import after
 from wbc.whole_body import WholeBodyProgram
 from wbc.wrench import Wrench
@@ -250,7 +252,7 @@ class TestTheLadder:
             WholeBodyProgram(place(go2, contacts_of(go2), {"move": motion}, {}), state)
 
     def test_a_posture_that_nothing_is_left_for_is_dropped(self, go2):
-        from wbc.centroidal import WholeBodyPosture
+        from wbc.task.centroidal import WholeBodyPosture
 
         q = go2.keyframes["home"]
         tasks = tasks_of(go2, q) | {"posture": WholeBodyPosture(q, nu=12)}

@@ -7,12 +7,16 @@ import pinocchio as pin
 import pytest
 
 from wbc import analytic
-from wbc.contact import AxesContact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+from wbc.contact.axes import AxesContact, MatrixContact, WorldAxesContact
+from wbc.contact.screw import ScrewContact
+from wbc.contact.sphere import SphereContact
 from wbc.dynamics import inertia, mobility
 from wbc.errors import GainError
 from wbc.qp import Rows
 from wbc.reference import Path, hold, sine
-from wbc.task import ForceLoop, ForceTask, MotionTask, PostureTask, computed_torque
+from wbc.task.force import ForceLoop, ForceTask
+from wbc.task.motion import MotionTask, computed_torque
+from wbc.task.posture import PostureTask
 from wbc.testing import check_task
 
 TILTED = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.9])), np.array([0.4, -0.1, 0.3]))

@@ -9,15 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import wbc.task
+import wbc.task.motion
 from tests.bars import KEPT_STATES, TAU_ERROR, TAU_ERROR_MUJOCO
-from wbc import cli
+from wbc.cli.verify import tell
 from wbc.contact import Contact, Held
 from wbc.errors import SpecError
 from wbc.resources import shipped_names
-from wbc.robot import State
 from wbc.spec import Spec, load
-from wbc.task import ForceTask, PostureTask
+from wbc.state import State
+from wbc.task.force import ForceTask
+from wbc.task.posture import PostureTask
 from wbc.verify import LAWS, STATES, Certificate, Worst, tolerance, verify
 
 KEYS = ["spec", "ok", "states", "dropped", "lifted", "max_tau_error_mujoco", "laws"]
@@ -58,7 +59,7 @@ def test_json_has_the_keys_of_the_contract(certificate):
 
 
 def test_it_says_how_many_states_it_kept_and_dropped(certificate, capsys):
-    cli._tell_verify(certificate)
+    tell(certificate)
     said = " ".join(capsys.readouterr().out.split())
     assert f"{certificate.states} random states ({certificate.dropped} ill-conditioned ones dropped)" in said
     assert certificate.dropped > 0
@@ -123,7 +124,7 @@ def test_a_law_that_is_not_defined_for_a_spec_is_left_out_and_said(tmp_path, cap
     assert set(found.laws) == {"compensated"}
     assert "one contact and one motion task on it; there are 1 contacts and 2" in found.left_out["book"]
     assert found.as_json()["left_out"] == found.left_out
-    cli._tell_verify(found)
+    tell(found)
     assert "law book left out: the book's is for one contact" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(SpecError, match="law: the book's is for one contact"):
         verify(short(file, 0.02, "law=book"), states=20)
@@ -233,7 +234,7 @@ def forgetful(self: ForceTask, state: State, right=ForceTask.rows):
 
 
 SABOTAGE = {
-    "identity metric": (wbc.task, "inertia", lambda mobility: np.eye(len(mobility)), ["book"]),
+    "identity metric": (wbc.task.motion, "inertia", lambda mobility: np.eye(len(mobility)), ["book"]),
     "no Jdot v": (Contact, "_hold", spoiled(without_drift), LAWS),
     "damping that drives": (Contact, "_hold", spoiled(against_the_motion), LAWS),
     "posture in everyone's way": (PostureTask, "rows", rows_with(lambda state: state.M), LAWS),

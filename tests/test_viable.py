@@ -10,7 +10,7 @@ from viability import most, smooth_stopping, stopping, viable
 from wbc.controller import Controller
 from wbc.limit import JointLimit, make_limits
 from wbc.sim import Simulator
-from wbc.task import PostureTask
+from wbc.task.posture import PostureTask
 
 DT = 1e-3
 INF = np.inf

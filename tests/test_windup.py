@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from air import pressing
 
-from wbc import task as tasks
 from wbc.build import build
 from wbc.controller import Status
 from wbc.sim import Simulator
 from wbc.spec import load
+from wbc.task import force as tasks
 from wbc.wrench import Wrench
 
 pytestmark = pytest.mark.row(14)

@@ -12,13 +12,14 @@ __version__ = "0.2.0"
 
 _HOME = {
     "Controller": "controller", "Output": "memory", "Phase": "phase", "Status": "ladder",
-    "Robot": "robot", "State": "robot", "Frame": "frame", "Wrench": "wrench", "ForceSensor": "wrench",
-    "AxesContact": "contact", "Contact": "contact", "MatrixContact": "contact", "ScrewContact": "contact",
-    "SphereContact": "contact", "WorldAxesContact": "contact",
-    "ForceTask": "task", "MotionTask": "task", "PostureTask": "task", "Rows": "qp", "Sample": "reference",
-    "ComTask": "centroidal", "DistributionTask": "centroidal", "MomentumTask": "centroidal",
-    "WholeBodyPosture": "centroidal", "GazeTask": "relative", "RelativeTask": "relative", "TorqueTask": "effort",
-    "RoundFoot": "foot", "weighed": "dynamics",
+    "Robot": "robot", "State": "state", "Frame": "frame", "Wrench": "wrench", "ForceSensor": "wrench",
+    "Contact": "contact", "AxesContact": "contact.axes", "MatrixContact": "contact.axes",
+    "WorldAxesContact": "contact.axes", "ScrewContact": "contact.screw", "SphereContact": "contact.sphere",
+    "ForceTask": "task.force", "MotionTask": "task.motion", "PostureTask": "task.posture",
+    "Rows": "qp", "Sample": "reference",
+    "ComTask": "task.centroidal", "DistributionTask": "task.centroidal", "MomentumTask": "task.centroidal",
+    "WholeBodyPosture": "task.centroidal", "GazeTask": "task.relative", "RelativeTask": "task.relative",
+    "TorqueTask": "task.effort", "RoundFoot": "contact.foot", "weighed": "dynamics",
     "Explanation": "explanation", "explain": "explanation",
     "Replay": "replay", "Tape": "tape", "WbcError": "errors", "SpecError": "errors", "load": "spec",
 }  # fmt: skip
@@ -28,26 +29,32 @@ __all__ = [*_HOME, *_MODULES]
 
 if TYPE_CHECKING:
     from . import analytic, errors, reference, solver, testing
-    from .centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
-    from .contact import AxesContact, Contact, MatrixContact, ScrewContact, SphereContact, WorldAxesContact
+    from .contact import Contact
+    from .contact.axes import AxesContact, MatrixContact, WorldAxesContact
+    from .contact.foot import RoundFoot
+    from .contact.screw import ScrewContact
+    from .contact.sphere import SphereContact
     from .controller import Controller
     from .dynamics import weighed
-    from .effort import TorqueTask
     from .errors import SpecError, WbcError
     from .explanation import Explanation, explain
-    from .foot import RoundFoot
     from .frame import Frame
     from .ladder import Status
     from .memory import Output
     from .phase import Phase
     from .qp import Rows
     from .reference import Sample
-    from .relative import GazeTask, RelativeTask
     from .replay import Replay
-    from .robot import Robot, State
+    from .robot import Robot
     from .spec import load
+    from .state import State
     from .tape import Tape
-    from .task import ForceTask, MotionTask, PostureTask
+    from .task.centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
+    from .task.effort import TorqueTask
+    from .task.force import ForceTask
+    from .task.motion import MotionTask
+    from .task.posture import PostureTask
+    from .task.relative import GazeTask, RelativeTask
     from .wrench import ForceSensor, Wrench
 
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .arguments import Arguments
 from .controller import Controller
 from .errors import LogError
 from .memory import Output
 from .qp import Array
 from .replay import Recorded, Replay
-from .tape import Arguments
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -5,29 +5,25 @@ Everything that only the robot can tell is checked here, every fault with its pl
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from . import spec as specs
-from .analytic import damping_limit
 from .closing import CLOSED, Goal, Lying, close
-from .contact import Contact
 from .controller import Controller
 from .coordinates import to_mujoco
-from .dynamics import mobility
+from .curve import components
 from .errors import did_you_mean
 from .exits import exit_of
 from .faults import Faults
 from .feeling import check_felt
-from .free_motion import STABLE, MassRange, following_radius, mass_range
-from .geometry import Geometry, components
-from .impedance import AdmittanceTask, Compliance
-from .limit import JointLimit, TorqueLimit, make_collision, make_limits
+from .free_motion import MassRange
+from .geometry import Geometry
+from .limiting import collision_of, limits_of, unlimited
+from .margins import force_loops, masses_at
 from .metrics import vocabulary
 from .model import open_welds
 from .names import check_names, load_robot
@@ -36,13 +32,9 @@ from .qp import Array
 from .ride import Ride
 from .robot import Robot
 from .solver import Solver, make
-from .stability import Pole, damping_margin, force_poles
-from .task import ForceTask, Task
+from .stability import Pole
 from .tracking import Tracking, joint_values
 from .wrench import VELOCITY_AXES
-
-if TYPE_CHECKING:
-    from .collision import SelfCollision
 
 WELDED = 1e-6  # [m, rad] how well the start pose closes what the scene welds
 
@@ -80,7 +72,7 @@ def build(spec: specs.Spec, robot: Robot | None = None, solver: str | Solver | N
         body: geometry.ride(path, robot.fixed_pose(body), ("plant", "paths", body))
         for body, path in spec.plant.paths.items()
     }
-    notes = _check_followed(geometry) + _unlimited(spec, robot)
+    notes = _check_followed(geometry) + unlimited(spec, robot)
     entries: Mapping[str, specs.Phase | None] = spec.phases or {"": None}
     first = replace(geometry, spec=_active(spec, next(iter(entries.values()))))
     q = _close(q_home, first.goals(q_home, *first.at(q_home)), robot, faults)
@@ -174,18 +166,6 @@ def _check_followed(geometry: Geometry) -> list[str]:
     return notes
 
 
-def _unlimited(spec: specs.Spec, robot: Robot) -> list[str]:
-    """Limits that are said to be the model's, and which it does not state."""
-    most = {"torque": robot.tau_max, "velocity": robot.v_max, "position": robot.q_max}
-    notes = list[str]()
-    for name, limit in most.items():
-        joints = [robot.joints[i] for i in np.flatnonzero(np.isinf(limit))]
-        if joints and getattr(spec.limits, name) == "model":
-            few = ", ".join(joints[:6]) + (f" and {len(joints) - 6} others" if len(joints) > 6 else "")
-            notes.append(f"limits.{name}: the model states none for {few}")
-    return notes
-
-
 def _check_metrics(spec: specs.Spec, phases: Sequence[Phase], faults: Faults) -> None:
     known = vocabulary(phases, spec.plant)
     for name in spec.expect.bounds:
@@ -230,151 +210,13 @@ def _phase(base: Geometry, name: str, entry: specs.Phase | None, follower: str, 
         {task: entry.level for task, entry in placed.items()},
         geometry.spec.hierarchy,
     )
-    poles, margins, most = _stability(geometry, contacts, tasks, q)
+    poles, margins, most = force_loops(geometry, contacts, tasks, q)
     key = repr(("limits", geometry.spec.limits))
     if key not in base.made or (entry is not None and any(changed.startswith("limits.") for changed in entry.set)):
-        base.made[key] = _limits(geometry.spec, geometry.robot, geometry.faults)
+        base.made[key] = limits_of(geometry.spec, geometry.robot, geometry.faults)
     torque, joint = base.made[key]
-    collision = _collision(geometry)
+    collision = collision_of(geometry)
     exit_ = None if entry is None else exit_of(base, name, entry, follower, contacts, tasks, q)
-    masses = _masses(geometry, contacts, tasks, q)
+    masses = masses_at(geometry, contacts, tasks, q)
     phase = Phase(contacts, tasks, weights, torque, joint, name, exit_, levels, collision)
     return _Made(phase, poles, margins, most, masses)
-
-
-def _masses(
-    geometry: Geometry, contacts: Mapping[str, Contact], tasks: Mapping[str, Task], q: Array
-) -> list[MassRange]:
-    """What impedance and admittance can render at the start; what is unstable there is a fault."""
-    spec, robot, masses = geometry.spec, geometry.robot, list[MassRange]()
-    state = robot.state(q, np.zeros(robot.nv))
-    for name, contact in contacts.items():
-        state.contacts[name] = contact.hold(state)
-    for name, task in tasks.items():
-        if not isinstance(task, Compliance):
-            continue
-        found = mass_range(name, _stiffest(spec, name, task), state, 1.0 / spec.rate, spec.plant.delay)
-        masses.append(found)
-        if not found.stable:
-            geometry.faults.add(("tasks", name, "M"), _unrendered(found))
-        if isinstance(task, AdmittanceTask) and not task.printed:
-            pole = following_radius(task, 1.0 / spec.rate, spec.plant.delay)
-            if not pole <= STABLE:
-                told = f"the arm cannot follow so stiffly at this rate: the largest pole has modulus {pole:.4f}"
-                geometry.faults.add(("tasks", name, "kd"), f"{told}, expected below 1; lower kp or kd")
-    return masses
-
-
-def _stiffest(spec: specs.Spec, name: str, task: Compliance) -> Compliance:
-    """A task with the largest stiffness that it is to have."""
-    scale = getattr(spec.tasks[name], "K_scale", None)
-    if scale is None:
-        return task
-    profile = spec.references[scale].profile
-    assert profile is not None
-    task = copy(task)
-    task.K = max(profile.values) * task.K
-    return task
-
-
-def _unrendered(found: MassRange) -> str:
-    """An unstable mass, and those that would be stable."""
-    pole = f"unstable at this rate: the largest pole of free motion has modulus {found.radius:.4f}, expected below 1"
-    told = [
-        f"{axis} from {low:.3g}{'' if math.isinf(high) else f' to {high:.3g}'}"
-        for axis, low, high in zip(found.axes, found.least, found.most, strict=True)
-        if low < high
-    ]
-    return f"{pole}; choose M on {', '.join(told)}" if told else f"{pole}; lower it with K and B, or raise the rate"
-
-
-def _stability(
-    geometry: Geometry, contacts: Mapping[str, Contact], tasks: Mapping[str, Task], q: Array
-) -> tuple[list[Pole], dict[str, float], dict[str, dict[str, float]]]:
-    """Poles of every force loop; by task, the damping margin and the most that each axis bears on its own."""
-    spec, robot, faults = geometry.spec, geometry.robot, geometry.faults
-    state, dt = robot.state(q, np.zeros(robot.nv)), 1.0 / spec.rate
-    poles: list[Pole] = []
-    margins: dict[str, float] = {}
-    most: dict[str, dict[str, float]] = {}
-    for name, task in tasks.items():
-        if not isinstance(task, ForceTask):
-            continue
-        contact = contacts[task.contact]
-        W = mobility(state, contact.hold(state).G)
-        k, delay, alpha = contact.k, 1 + spec.plant.delay, task.smoothing(dt)
-        Kp, Ki, D = task.Kp[:k, :k], task.Ki[:k, :k], task.K_damp
-        masses = 1.0 / np.maximum(W.diagonal(), 1e-12)
-        margins[name] = damping_margin(W, D, dt)
-        most[name] = {axis: damping_limit(W[i : i + 1, i : i + 1], dt) for i, axis in enumerate(contact.axes)}
-        if not margins[name] < 2.0:
-            bound = f"dt max eig(A M_C^-1 A' K_damp) = {margins[name]:.3g}, expected below 2"
-            advice = "lower it on the axes of small inertia, or raise the rate"
-            faults.add(("tasks", name, "damping"), f"damping is unstable at this rate: {bound}; {advice}")
-            continue
-        if not (Kp.any() or Ki.any()):
-            continue  # an open loop has no poles of its own
-        found = force_poles(task.contact, contact.axes, masses, Kp, Ki, D, alpha, dt, delay)
-        poles += found
-        worst = max(found, key=lambda pole: pole.radius, default=None)
-        if worst is not None and not worst.radius < 1.0:
-            faults.add(("tasks", name, "kp"), _unstable(worst))
-    return poles, margins, most
-
-
-def _limits(spec: specs.Spec, robot: Robot, faults: Faults) -> tuple[TorqueLimit, JointLimit | None]:
-    limits = spec.limits
-    most = {"torque": np.minimum(robot.tau_max, -robot.tau_min), "velocity": robot.v_max}
-    values: dict[str, Any] = {}
-    for name in ("torque", "torque_rate", "velocity", "acceleration"):
-        given, model = getattr(limits, name), most.get(name, np.full(robot.nu, np.inf))
-        if isinstance(given, specs.Scale):
-            given = model * given.scale
-        elif given is not None and given != "model":
-            given = joint_values(robot, given, model) if isinstance(given, dict) else given
-            _check_limit(robot, faults, name, np.array(given, float), model, "rad/s" if name == "velocity" else "N m")
-        values[name] = given
-    values["position"] = limits.position
-    if isinstance(limits.position, specs.Margin):
-        margin = values["position"] = limits.position.margin
-        for i in np.flatnonzero(robot.q_max - robot.q_min <= 2.0 * margin):
-            message = f"{margin:g} rad on either side leave {robot.joints[i]} no range"
-            range_ = f"expected less than half of {robot.q_max[i] - robot.q_min[i]:.3g} rad"
-            faults.add(("limits", "position", "margin"), f"{message}; {range_}")
-    return make_limits(robot, values)
-
-
-def _collision(geometry: Geometry) -> SelfCollision | None:
-    """The distances that the robot's own bodies keep."""
-    given = geometry.spec.limits.self_collision
-    if given is None:
-        return None
-    with geometry.faults.at("limits", "self_collision"):
-        return make_collision(
-            geometry.robot, given if isinstance(given, float) else given.model_dump(exclude_none=True)
-        )
-    return None
-
-
-def _check_limit(robot: Robot, faults: Faults, name: str, given: Array, model: Array, unit: str) -> None:
-    """A limit that the model's own undercuts binds nothing, which is not what its author thinks."""
-    tail = "; the model's own limit would bind instead: expected less, or `model`"
-    if given.ndim == 0:
-        if given > model.max():
-            faults.add(("limits", name), f"{given:g} is above the {model.max():g} {unit} of every joint{tail}")
-        return
-    for i in np.flatnonzero(given > model):
-        message = f"{given[i]:g} is above the {model[i]:g} {unit} of {robot.joints[i]}{tail}"
-        faults.add(("limits", name, robot.joints[i]), message)
-
-
-def against(pole: Pole) -> str:
-    """What a force loop meets at this pole, in words."""
-    unit = "N m/rad" if pole.axis.startswith("m") else "N/m"
-    return "a rigid wall" if pole.stiffness is None else f"a stiffness of {pole.stiffness:.3g} {unit}"
-
-
-def _unstable(worst: Pole) -> str:
-    loop = f"the force loop on {worst.axis} is unstable against {against(worst)}"
-    pole = f"its largest pole has modulus {worst.radius:.4f}, expected below 1"
-    return f"{loop}: {pole}; lower kp or ki, add damping along the axis, or lower the filter's cut-off"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ LEGEND: dict[str, Any] = {
     "fontsize": 8, "title_fontsize": 8, "labelcolor": INK, "edgecolor": "none", "framealpha": 0.85,
     "handlelength": 1.2, "columnspacing": 1.0, "handletextpad": 0.4,
 }  # fmt: skip
+TEXT: dict[str, Any] = {"va": "center", "parse_math": False}
 JOINTS = len(COLOURS)  # the most lines of one panel
 POINTS = 4000  # of one line; a longer one keeps the extremes of its stretches
 
@@ -106,3 +108,20 @@ def after_settling(log: Log, name: str | None = None) -> NDArray[np.bool_]:
 
 def short(text: str, length: int) -> str:
     return text if len(text) <= length else text[: length - 1] + "…"
+
+
+def known_rows(y: Array) -> Array:
+    """The finite rows of y (N, m); one of zeros when there are none."""
+    rows = y.reshape(y.shape[0], -1)
+    known = rows[np.isfinite(rows).all(axis=1)]
+    return known if known.size else np.zeros((1, rows.shape[1]))
+
+
+def rms(y: Array) -> float:
+    """Of what is finite."""
+    known = y[np.isfinite(y)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
+
+
+def and_more(names: Sized, most: int) -> str:
+    return f"and {len(names) - most} more" if len(names) > most else ""

@@ -24,7 +24,8 @@ from .kernels.limit import apart
 from .limit import SETTLE
 from .model import body_name
 from .qp import Array, Rows
-from .robot import Robot, State, Terms
+from .robot import Robot
+from .state import State, Terms
 
 KIND = mujoco.mjtGeom
 DECELERATION = 2.0  # a [m/s^2]

@@ -17,7 +17,6 @@ from .grounds import floors, levels
 from .guard import Guarded, gripped, watch
 from .handover import Start, hand_over
 from .holding import HELD, Answer, Holding
-from .impedance import NEW, Felt
 from .inputs import Inputs
 from .jump import kept, lead_in
 from .kernels import torque
@@ -26,9 +25,11 @@ from .memory import NEW_WATCH, NOTHING, Memory, Output
 from .phase import Phase, carry, carry_felt, hold, place, recall, settle_posture
 from .program import Program
 from .qp import Array, Workspace
-from .robot import Robot, State, Terms
+from .robot import Robot
 from .solver import DEFAULT, Solution, Solver, make
-from .task import ForceLoop
+from .state import State, Terms
+from .task.force import ForceLoop
+from .task.impedance import NEW, Felt
 from .transition import STOP, Change
 from .valid import array_fault, missed_fault, time_fault, unit
 from .whole_body import WholeBodyProgram

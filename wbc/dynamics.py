@@ -12,7 +12,7 @@ import numpy as np
 
 from . import kernels
 from .qp import Array, Rows
-from .robot import State
+from .state import State
 
 _NOTHING = np.empty((0, 0))
 

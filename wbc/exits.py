@@ -12,9 +12,11 @@ from . import spec as specs
 from .contact import Contact
 from .faults import Place
 from .geometry import Geometry
-from .impedance import Compliance
 from .qp import Array
-from .task import ForceTask, MotionTask, Task
+from .task import Task
+from .task.force import ForceTask
+from .task.impedance import Compliance
+from .task.motion import MotionTask
 from .transition import STOP, Condition, Exit, Reading
 from .wrench import WRENCH_AXES
 

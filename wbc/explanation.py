@@ -80,7 +80,7 @@ class Explanation:
 
 
 def explain(controller: Controller) -> Explanation:
-    """The controller's last tick, in tens of milliseconds. It changes nothing that a later tick reads.
+    """The controller's last tick, in up to tens of milliseconds. It changes nothing that a later tick reads.
 
     Where contacts were dropped the conflict is that of the tick with all of them, and the torque that without. A tick
     that was refused, or held until reset, solved nothing: it has no conflict of its own. Raises SolverError where it

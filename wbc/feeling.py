@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 
 from .contact import Contact
 from .geometry import Geometry
-from .impedance import Compliance
 from .phase import Phase
 from .robot import Robot
 from .task import Task
+from .task.impedance import Compliance
 
 SENSOR = "wrist_sensor"  # the site of it
 

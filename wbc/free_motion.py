@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .impedance import AdmittanceTask, Compliance
 from .qp import Array
-from .robot import State
+from .state import State
+from .task.impedance import AdmittanceTask, Compliance
 
 STABLE = 1.0 + 1e-6  # a free mass has a double pole at 1, which rounding splits by the root of its error
 SCALES = (1e-5, 1e5)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .contact import Contact
     from .frame import Frame
     from .reference import Sample
-    from .robot import State
+    from .state import State
 
 Guide: TypeAlias = "Callable[[State], Sample]"  # the desired motion at a state
 FACES = 8

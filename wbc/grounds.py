@@ -11,7 +11,7 @@ from .qp import Array
 if TYPE_CHECKING:
     from .frame import Frame
     from .phase import Phase
-    from .robot import State
+    from .state import State
 
 TOUCHED, COUNTED = 2.0, 5.0  # [N] with so much a foot stands; with more it is counted on
 MISSING = 5  # ticks in a row in which what is counted on does not come, until it is in the air

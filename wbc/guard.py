@@ -24,8 +24,8 @@ import numpy as np
 
 from . import kernels
 from .qp import Array
-from .robot import State
-from .task import ForceTask, Released
+from .state import State
+from .task.force import ForceTask, Released
 
 if TYPE_CHECKING:
     from .contact import Held

@@ -14,14 +14,15 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from .centroidal import ComTask, DistributionTask, com, middle
 from .dynamics import reaction
 from .lead import SLOPE, Lead, fall, run
 from .program import Program
 from .qp import Array
 from .reference import ALL_AXES, Reference, Sample, advanced, seen_from
-from .robot import State
-from .task import ForceLoop, ForceTask, Task
+from .state import State
+from .task import Task
+from .task.centroidal import ComTask, DistributionTask, com, middle
+from .task.force import ForceLoop, ForceTask
 
 FADE = 0.5  # [s] in which what was between the robot and its reference fades out, or longer:
 FADE_SPEED, FADE_TURN = 0.1, 0.5  # [m/s], [rad/s] no faster than this

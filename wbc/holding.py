@@ -13,8 +13,9 @@ from .memory import Memory, Output
 from .phase import hold
 from .program import Program
 from .qp import UNCERTIFIED, Array
-from .robot import Robot, State, Terms
-from .task import ForceLoop
+from .robot import Robot
+from .state import State, Terms
+from .task.force import ForceLoop
 
 HELD = (Status.SAFE_HOLD, Status.STOPPED)
 _NEW_LOOP = ForceLoop()

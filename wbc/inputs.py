@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from .contact import Contact
 from .errors import WbcError, did_you_mean
-from .impedance import NEW
 from .qp import Array
-from .robot import State
+from .state import State
+from .task.impedance import NEW
 from .valid import array_fault
 from .wrench import Wrench
 

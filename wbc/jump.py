@@ -19,7 +19,7 @@ from .lead import Lead
 from .phase import Phase
 from .program import Program
 from .qp import Array
-from .robot import State
+from .state import State
 
 LEAST = np.array([2e-3, 1e-2, 2e-2, 1e-1])  # [m], [rad], [m/s], [rad/s] between two ticks that make a jump
 NEVER = np.full(4, np.inf)

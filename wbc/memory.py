@@ -10,10 +10,10 @@ import numpy as np
 from .grounds import Ground
 from .guard import Grip
 from .handover import Start
-from .impedance import Felt
 from .ladder import GOOD_TICKS, Status
 from .qp import Array, Certificate
-from .task import ForceLoop
+from .task.force import ForceLoop
+from .task.impedance import Felt
 from .transition import Watch
 
 NOTHING: Mapping[str, Any] = {}  # never written to

@@ -52,12 +52,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import response, stance
-from .centroidal import MomentumTask
-from .contact import AxesContact, Contact
+from .contact import Contact
+from .contact.axes import AxesContact
 from .log import Log
 from .qp import Array
-from .relative import GazeTask
-from .task import ForceTask, MotionTask
+from .task.centroidal import MomentumTask
+from .task.force import ForceTask
+from .task.motion import MotionTask
+from .task.relative import GazeTask
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 _LOGGED: dict[type, str] = {GazeTask: "angle", MomentumTask: "lacking"}

@@ -17,7 +17,8 @@ import numpy as np
 import pinocchio as pin
 
 from .qp import Array
-from .robot import Robot, State
+from .robot import Robot
+from .state import State
 
 
 class Observed(NamedTuple):

@@ -15,14 +15,17 @@ import pinocchio as pin
 
 from . import analytic
 from .contact import Contact
-from .impedance import NEW, AdmittanceTask, Compliance, Felt
 from .memory import Memory
 from .pair import movable
 from .phase import Phase
 from .qp import Array
 from .reference import Sample
-from .robot import Robot, State
-from .task import ForceLoop, ForceTask, MotionTask, PostureTask
+from .robot import Robot
+from .state import State
+from .task.force import ForceLoop, ForceTask
+from .task.impedance import NEW, AdmittanceTask, Compliance, Felt
+from .task.motion import MotionTask
+from .task.posture import PostureTask
 from .wrench import Wrench
 
 Law = Literal["compensated", "book"]

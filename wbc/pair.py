@@ -8,7 +8,8 @@ import pinocchio as pin
 from .axes import VELOCITY_AXES
 from .frame import Frame
 from .kernels import relative
-from .robot import Robot, State
+from .robot import Robot
+from .state import State
 
 
 class RelativeFrame(Frame):

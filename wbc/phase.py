@@ -10,16 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .centroidal import ComTask, MomentumTask, WholeBodyPosture
 from .contact import Contact, Held
+from .contact.foot import RoundFeet, RoundFoot
 from .errors import LawError, NameNotFound
-from .foot import RoundFeet, RoundFoot
-from .impedance import Compliance, Felt, ImpedanceTask
 from .limit import JointLimit, TorqueLimit, make_collision, make_limits
 from .qp import Array
-from .relative import GazeTask
-from .robot import Robot, State
-from .task import ForceLoop, ForceTask, MotionTask, PostureTask, Task
+from .robot import Robot
+from .state import State
+from .task import Task
+from .task.centroidal import ComTask, MomentumTask, WholeBodyPosture
+from .task.force import ForceLoop, ForceTask
+from .task.impedance import Compliance, Felt, ImpedanceTask
+from .task.motion import MotionTask
+from .task.posture import PostureTask
+from .task.relative import GazeTask
 from .transition import Exit
 
 if TYPE_CHECKING:

@@ -8,21 +8,24 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from .centroidal import WholeBodyPosture
 from .dynamics import fill, gauss, inertia, inertia_of_what_moves, mobility, torque_map
-from .effort import TorqueTask
 from .errors import LawError
 from .friction import Cone
 from .hierarchy import level
 from .hierarchy import solve as descend
-from .impedance import AdmittanceTask, ImpedanceTask
 from .ladder import fewest
 from .phase import LAST, Phase, hold, settle_posture
 from .qp import Array, Rows, Variables, Workspace
-from .robot import State, Terms
 from .singular import BACK, ease, threshold
 from .solver import ProxQP, Solution, Solver, answer
-from .task import ForceTask, MotionTask, PostureTask, Task
+from .state import State, Terms
+from .task import Task
+from .task.centroidal import WholeBodyPosture
+from .task.effort import TorqueTask
+from .task.force import ForceTask
+from .task.impedance import AdmittanceTask, ImpedanceTask
+from .task.motion import MotionTask
+from .task.posture import PostureTask
 
 _NO_METRIC = np.zeros((0, 0))
 Cost: TypeAlias = tuple[

@@ -9,7 +9,8 @@ import numpy as np
 from .dynamics import inertia, weighed
 from .hierarchy import shortest
 from .qp import Array, Rows
-from .task import ForceTask, PostureTask
+from .task.force import ForceTask
+from .task.posture import PostureTask
 
 if TYPE_CHECKING:
     from .controller import Tick

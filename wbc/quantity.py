@@ -22,13 +22,14 @@ import numpy as np
 import pinocchio as pin
 
 from .contact import Contact
-from .impedance import Compliance
 from .pair import seen
 from .phase import stored
 from .qp import Array
-from .robot import State
 from .singular import smallest, threshold
-from .task import ForceTask, MotionTask
+from .state import State
+from .task.force import ForceTask
+from .task.impedance import Compliance
+from .task.motion import MotionTask
 from .transition import Reading
 
 

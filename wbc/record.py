@@ -10,23 +10,24 @@ import numpy as np
 
 from . import analytic
 from .build import Built
-from .centroidal import MomentumTask
 from .contact import Contact
 from .controller import Controller
 from .dynamics import mobility, unheld
-from .impedance import Compliance
 from .ladder import Status
 from .log import Log
 from .memory import Output
 from .metrics import APART
 from .phase import Phase, hold, stored
 from .qp import Array
-from .relative import GazeTask
-from .robot import State, Terms
 from .sim import Simulator
 from .singular import smallest
 from .stance import Standing
-from .task import ForceTask, MotionTask
+from .state import State, Terms
+from .task.centroidal import MomentumTask
+from .task.force import ForceTask
+from .task.impedance import Compliance
+from .task.motion import MotionTask
+from .task.relative import GazeTask
 from .touch import Touch
 from .transition import STOP
 

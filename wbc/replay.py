@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .arguments import Arguments
 from .controller import Controller
 from .errors import LogError
 from .ladder import Status
@@ -27,7 +28,7 @@ from .pack import Packed, Structure
 from .qp import Array
 from .solver import Solver
 from .spec import Spec
-from .tape import CODEC, FORMAT, PREFIX, Arguments, Tape, fingerprint, machine
+from .tape import CODEC, FORMAT, PREFIX, Tape, fingerprint, machine
 
 _WRONG = (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError, MemoryError)
 _UNREADABLE = (*_WRONG, OSError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError)

@@ -26,11 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .analytic import admittance, force_stiffness, motion_compliance, step_response
-from .impedance import AdmittanceTask, Compliance, ImpedanceTask
 from .log import Log
 from .observer import errors as observer_errors
 from .qp import Array
-from .task import ForceTask, MotionTask
+from .task.force import ForceTask
+from .task.impedance import AdmittanceTask, Compliance, ImpedanceTask
+from .task.motion import MotionTask
 from .wrench import VELOCITY_AXES
 
 Complex = NDArray[np.complex128]

@@ -16,7 +16,7 @@ import pinocchio as pin
 from .frame import Frame
 from .qp import Array
 from .reference import Reference, Sample, seen_from
-from .robot import State
+from .state import State
 
 
 class Ride:

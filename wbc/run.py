@@ -19,7 +19,6 @@ from .controller import Controller
 from .errors import SimulationError
 from .fault import FaultPlan
 from .feeling import unfelt
-from .impedance import Compliance
 from .log import Log
 from .memory import Output
 from .metrics import metrics
@@ -27,10 +26,12 @@ from .model import quietly
 from .phase import Phase
 from .record import STATUS_NAMES, Recorder
 from .response import Bode, described, responses
-from .robot import State
 from .sim import Observation, Simulator, carrier
+from .state import State
 from .tape import Tape
-from .task import ForceTask, MotionTask
+from .task.force import ForceTask
+from .task.impedance import Compliance
+from .task.motion import MotionTask
 from .wrench import WRENCH_AXES, Wrench
 
 

@@ -18,7 +18,8 @@ from .model import body_name, quietly
 from .outside import Outside, Places, has_site
 from .qp import Array
 from .ride import Ride
-from .robot import Robot, State
+from .robot import Robot
+from .state import State
 from .touch import Impact, Touch, Truth
 from .wrench import ForceSensor, Wrench
 

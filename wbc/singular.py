@@ -23,7 +23,7 @@ import pinocchio as pin
 from . import kernels
 from .dynamics import inertia, mobility
 from .qp import Array
-from .robot import State
+from .state import State
 
 LEAST = 0.03  # s_0, the singular value below which a task is damped
 BACK = (25.0, 10.0)  # [1/s^2], [1/s] with which joints that no posture holds go back to the start

@@ -30,17 +30,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .centroidal import ComTask, DistributionTask, load, on_base
 from .log import Log
 from .qp import Array
-from .task import MotionTask
+from .task.centroidal import ComTask, DistributionTask, load, on_base
+from .task.motion import MotionTask
 
 if TYPE_CHECKING:
     from .contact import Contact
     from .memory import Output
     from .phase import Phase
-    from .robot import Robot, State
+    from .robot import Robot
     from .sim import Simulator
+    from .state import State
     from .touch import Touch
 
 REST = 1e-5  # [rad/s, m/s] largest velocity at rest

@@ -15,7 +15,7 @@ from .qp import Array, Rows
 
 if TYPE_CHECKING:
     from .contact import Contact
-    from .robot import State
+    from .state import State
 
 
 class SoleCone(Cone):

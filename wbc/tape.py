@@ -9,20 +9,19 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import __version__
+from .arguments import Arguments, called_as
 from .controller import Controller
 from .ladder import Status
 from .memory import Memory, Output
 from .pack import Codec, Kinds, Stream
-from .qp import Array
 from .robot import Robot
 from .wrench import Wrench
 
@@ -34,18 +33,6 @@ FORMAT = 1
 EVERY = 100  # ticks from one checkpoint of the memory to the next, at most
 CODEC = Codec(Memory, Wrench, Status)
 _PACKAGES = ("numpy", "numba", "pin", "mujoco", "daqp", "proxsuite", "qpsolvers")  # on which the last bits may depend
-
-
-class Arguments(NamedTuple):
-    """Of one `Controller.step`, in its order."""
-
-    t: float
-    q: Array
-    v: Array
-    measured: Mapping[str, Wrench] | None = None
-    targets: Mapping[str, float] | None = None
-    tau_applied: Array | None = None
-    missed: int = 0
 
 
 class Tape:
@@ -68,30 +55,14 @@ class Tape:
     def __len__(self) -> int:
         return len(self._answered)
 
-    def step(
-        self,
-        t: float,
-        q: Array,
-        v: Array,
-        measured: Mapping[str, Wrench] | None = None,
-        targets: Mapping[str, float] | None = None,
-        tau_applied: Array | None = None,
-        missed: int = 0,
-    ) -> Output:
+    @called_as(Controller.step)
+    def step(self, given: Arguments) -> Output:
         """`Controller.step`, recorded."""
-        self.begin(t, q, v, measured, targets, tau_applied, missed)
-        return self.end(self._controller.step(t, q, v, measured, targets, tau_applied, missed))
+        self.begin(*given)
+        return self.end(self._controller.step(*given))
 
-    def begin(
-        self,
-        t: Any,
-        q: Any,
-        v: Any,
-        measured: Any = None,
-        targets: Any = None,
-        tau_applied: Any = None,
-        missed: Any = 0,
-    ) -> None:
+    @called_as(Controller.step)
+    def begin(self, given: Arguments) -> None:
         """Before a tick with these arguments; for who calls `Controller.step` with a clock running. Then `end`."""
         memory, tick = self._controller.memory, len(self._given)
         phase = memory.phase if memory is not None else -1
@@ -101,7 +72,7 @@ class Tape:
             self._checkpoints.append(tick)
             self._kept.append(memory)
         self._phase = phase
-        self._given.append((t, q, v, measured, targets, tau_applied, missed))
+        self._given.append(tuple(given))
 
     def end(self, out: Output) -> Output:
         """After the tick that was begun."""

@@ -17,8 +17,10 @@ from .contact import Contact
 from .dynamics import inertia, mobility
 from .pair import movable
 from .qp import Array, Rows
-from .robot import Robot, State
-from .task import ForceLoop, Task
+from .robot import Robot
+from .state import State
+from .task import Task
+from .task.force import ForceLoop
 
 STEP = 1e-6  # [s] of the central differences
 TOLERANCE = 1e-6  # of 1 + the largest number expected

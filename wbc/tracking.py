@@ -11,19 +11,24 @@ import numpy as np
 
 from . import spec as specs
 from .axes import MOMENTUM_AXES
-from .centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
-from .contact import AxesContact, Contact, SphereContact
-from .effort import TorqueTask
+from .contact import Contact
+from .contact.axes import AxesContact
+from .contact.sphere import SphereContact
 from .geometry import Geometry
-from .impedance import AdmittanceTask, Compliance, ImpedanceTask
 from .observer import MomentumObserver
 from .pair import movable, relative_axes
 from .qp import Array
 from .reference import Reference, Scalar, constant
-from .relative import GazeTask, RelativeTask
 from .robot import Robot
 from .tank import Bounded
-from .task import RATE, ForceTask, MotionTask, PostureTask, Task
+from .task import Task
+from .task.centroidal import ComTask, DistributionTask, MomentumTask, WholeBodyPosture
+from .task.effort import TorqueTask
+from .task.force import RATE, ForceTask
+from .task.impedance import AdmittanceTask, Compliance, ImpedanceTask
+from .task.motion import MotionTask
+from .task.posture import PostureTask
+from .task.relative import GazeTask, RelativeTask
 from .wrench import VELOCITY_AXES, WRENCH_AXES
 
 Axes = tuple[str, ...]

@@ -22,7 +22,6 @@ from .coordinates import to_mujoco
 from .crosscheck import point_jacobian
 from .errors import SpecError
 from .faults import Faults, Place
-from .impedance import Compliance, Felt
 from .ladder import Status
 from .limit import TorqueLimit
 from .memory import Memory
@@ -31,13 +30,16 @@ from .oracle import Dynamics, Law, closed_form, force_tasks, motion_tasks, relat
 from .pair import movable
 from .phase import Phase, hold
 from .qp import Array
-from .relative import RelativeTask
-from .robot import State
 from .run import run
 from .sim import carrier
 from .solver import Solver
 from .spec import Spec
-from .task import ForceLoop, ForceTask, MotionTask, PostureTask
+from .state import State
+from .task.force import ForceLoop, ForceTask
+from .task.impedance import Compliance, Felt
+from .task.motion import MotionTask
+from .task.posture import PostureTask
+from .task.relative import RelativeTask
 from .wrench import Wrench
 
 LAWS: tuple[Law, ...] = ("compensated", "book")

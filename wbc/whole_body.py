@@ -18,16 +18,19 @@ from typing import Any
 import numpy as np
 
 from . import kernels
-from .centroidal import DistributionTask, WholeBodyPosture, load
 from .dynamics import inertia, inertia_within, mobility, torque_map
-from .effort import TorqueTask
 from .errors import LawError
 from .handover import SHARING
 from .phase import LAST, Phase, hold
 from .program import Cost, Program
 from .qp import Array, Rows
-from .robot import State
-from .task import ForceTask, MotionTask, PostureTask, Task
+from .state import State
+from .task import Task
+from .task.centroidal import DistributionTask, WholeBodyPosture, load
+from .task.effort import TorqueTask
+from .task.force import ForceTask
+from .task.motion import MotionTask
+from .task.posture import PostureTask
 
 _NO_METRIC = np.zeros((0, 0))
 RANK_TOLERANCE = 1e-8  # of the largest eigenvalue of the contacts' mobility

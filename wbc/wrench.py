@@ -11,7 +11,8 @@ from .axes import VELOCITY_AXES as VELOCITY_AXES
 from .axes import WRENCH_AXES as WRENCH_AXES
 from .errors import WrenchError
 from .qp import Array
-from .robot import Robot, State
+from .robot import Robot
+from .state import State
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,9 @@ import numpy as np
 
 from ..errors import InvariantError, SimulationError
 from ..fault import FaultPlan
-from ..invariant import STOPPED_AT, Watched, mark
+from ..invariant import Watched
+from ..invariant.mark import mark
+from ..invariant.watched import STOPPED_AT
 from ..ladder import Status
 from ..model import quietly
 from ..qp import Array

@@ -12,23 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..axes import MOMENTUM_AXES, WRENCH_AXES
 from ..errors import did_you_mean
+from .body import ComTask, DistributionTask, GazeTask, MomentumTask, Over, RelativeTask, TorqueTask
+from .compliance import AdmittanceTask, ImpedanceTask
 from .fields import shown
 from .phase import STOP
 from .source import MAX_FAULTS, KeyPath, Message, NoSuchKey, dotted, put
-from .task import (
-    AdmittanceTask,
-    ComTask,
-    DistributionTask,
-    ForceTask,
-    GazeTask,
-    ImpedanceTask,
-    MomentumTask,
-    MotionTask,
-    Over,
-    PostureTask,
-    RelativeTask,
-    TorqueTask,
-)
+from .task import ForceTask, MotionTask, PostureTask
 
 if TYPE_CHECKING:
     from .document import Spec

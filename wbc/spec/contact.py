@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, Field, Strict, Tag
+from pydantic import AfterValidator, Field, Tag
 
 from ..axes import RECIPROCAL, VELOCITY_AXES, WRENCH_AXES
 from ..errors import did_you_mean
@@ -22,69 +22,17 @@ from .fields import (
     Positive,
     Target,
     Text,
-    Vec3,
     WrenchAxis,
     either,
     named,
     shown,
     wrong,
 )
+from .friction import Coefficient, Friction, Pushes, Unilateral
+from .screw import FreeMotion
 from .source import Message
 
 NORMAL = ("normal",)  # the multiplier of a surface: the force [N] along its outward normal
-XYZ = Annotated[Literal["x", "y", "z"], Tag("<name>")]
-Direction = Annotated[XYZ | Annotated[Vec3, Tag("<list>")], either("x, y, z or a list of three numbers")]
-
-
-class Screw(Model):
-    """A screw axis."""
-
-    axis: Direction = Field(description="direction, in the axes of the frame that it passes through")
-    through: Text = Field(default="self", description="frame that the axis passes through; self: the contact frame")
-    pitch: Number = Field(default=0.0, description="advance per angle [m/rad]")
-
-    def _faults(self) -> Iterable[Message]:
-        if not isinstance(self.axis, str) and not any(self.axis):
-            yield ("axis",), "expected a direction, got the zero vector"
-
-
-class FreeMotion(Model):
-    """One motion that the contact leaves free."""
-
-    screw: Screw = Field(description="the screw axis of the motion")
-
-
-Side = Literal["x", "y", "z", "+x", "+y", "+z", "-x", "-y", "-z"]
-
-
-class Unilateral(Model):
-    """The direction in which the world only lets itself be pushed."""
-
-    along: Side = Field(
-        description="direction of the push on the world, in the axes of A (z: a surface's normal): -z, ..."
-    )
-    least: NonNegative = Field(default=0.0, description="smallest push [N]")
-
-
-class Friction(Model):
-    """Coulomb friction across the push."""
-
-    mu: Positive = Field(description="friction coefficient [1]")
-    faces: Annotated[int, Strict()] = Field(
-        default=8, ge=3, le=64, description="faces of the inner cone; 4 lose up to 29 % of the friction, 8 up to 7.6 %"
-    )
-    slip: Positive = Field(
-        default=0.005, description="speed below which the drag follows the desired velocity instead of the own [m/s]"
-    )
-
-
-Pushes = Annotated[
-    Annotated[Side, Tag("<name>")] | Annotated[Unilateral, Tag("<map>")], either("a direction such as -z")
-]
-Coefficient = Annotated[
-    Annotated[Positive, Tag("<number>")] | Annotated[Friction, Tag("<map>")],
-    either("a friction coefficient or a mapping with mu"),
-]
 
 
 class Sphere(Model):

@@ -19,17 +19,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from .analytic import gain_matrix
-from .dynamics import inertia, mobility, unheld
-from .errors import GainError
-from .observer import MomentumObserver, Observed, smoothing
-from .qp import Array, Rows
-from .reference import Reference, Sample, Scalar
-from .robot import State
-from .singular import LEAST
-from .tank import Bounded, Tank
-from .task import SPEEDS, pose_errors
-from .wrench import VELOCITY_AXES
+from ..analytic import gain_matrix
+from ..dynamics import inertia, mobility, unheld
+from ..errors import GainError
+from ..observer import MomentumObserver, Observed, smoothing
+from ..qp import Array, Rows
+from ..reference import Reference, Sample, Scalar
+from ..singular import LEAST
+from ..state import State
+from ..tank import Bounded, Tank
+from ..wrench import VELOCITY_AXES
+from .motion import SPEEDS, pose_errors
 
 SOURCES = ("measured", "observer", "acceleration", "none")
 

@@ -10,26 +10,23 @@ first seen from the second, and the wrench acts on both bodies.
 from __future__ import annotations
 
 import copy
-import math
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
-from . import kernels
-from .errors import WrenchError
-from .footing import Footing
-from .frame import Frame
-from .friction import Cone, Unilateral
-from .pair import seen
-from .qp import Array, Rows
-from .ride import Ride
-from .robot import State
-from .wrench import VELOCITY_AXES, WRENCH_AXES
+from .. import kernels
+from ..errors import WrenchError
+from ..footing import Footing
+from ..frame import Frame
+from ..friction import Cone, Unilateral
+from ..pair import seen
+from ..qp import Array, Rows
+from ..ride import Ride
+from ..state import State
+from ..wrench import WRENCH_AXES
 
-_ZERO, _ZEROS = np.zeros(3), np.zeros(6)
-_ANGULAR_FIRST = np.ix_((3, 4, 5, 0, 1, 2), (3, 4, 5, 0, 1, 2))  # Pinocchio's order is linear first
+_ZEROS = np.zeros(6)
 
 
 class Held:
@@ -222,204 +219,3 @@ class Contact(ABC):
 def complement(A: Array) -> Array:
     """(6 - k, 6) orthonormal rows that annihilate A'."""
     return np.linalg.svd(A.reshape(-1, 6))[2][np.linalg.matrix_rank(A) if A.size else 0 :]
-
-
-class MatrixContact(Contact):
-    """Any constant A (k, 6) in the body axes of the frame; its rows must be independent."""
-
-    steady = True
-
-    def __init__(self, frame: str, A: Array) -> None:
-        self.frame, self._A = frame, np.array(A, float).reshape(-1, 6)
-        self.k = self._A.shape[0]
-        if self.k and np.linalg.matrix_rank(self._A) < self.k:
-            raise WrenchError(f"the {self.k} rows of A are not independent (rank {np.linalg.matrix_rank(self._A)})")
-        self._inverse = np.linalg.pinv(self._A).T if self.k else self._A
-        self._zero = np.zeros(self.k)
-        self._set_free(complement(self._A))
-
-    def _set_free(self, free: Array) -> None:
-        self._free, self._basis = free, np.concatenate((self._A, free))
-
-    def hold(self, state: State) -> Held:
-        return self._hold(state, self._A, self._free, self._inverse, self._basis, None)
-
-    def A(self, state: State) -> Array:
-        return self._A
-
-    def Adot_V(self, state: State) -> Array:
-        return self._zero
-
-    def free(self, state: State) -> Array:
-        return self._free
-
-    def pseudo_inverse(self, A: Array) -> Array:
-        return self._inverse
-
-
-class AxesContact(MatrixContact):
-    """The book's table: the world holds some axes of the frame (`wx` ... `vz`) and leaves the others free.
-
-    `free`: the free axes; by default all that are not held (a planar arm names fewer).
-    """
-
-    def __init__(self, frame: str, held: tuple[str, ...], free: tuple[str, ...] | None = None) -> None:
-        free = tuple(a for a in VELOCITY_AXES if a not in held) if free is None else free
-        self._held_axes, self._free_axes = held, free
-        super().__init__(frame, np.eye(6)[[VELOCITY_AXES.index(a) for a in held]])
-        self._set_free(np.eye(6)[[VELOCITY_AXES.index(a) for a in free]])
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        return tuple(WRENCH_AXES[VELOCITY_AXES.index(a)] for a in self._held_axes)
-
-    @property
-    def free_axes(self) -> tuple[str, ...]:
-        return self._free_axes
-
-
-class WorldAxesContact(AxesContact):
-    """The table with its axes fixed to the world (those of `R`), while the frame may turn: a point on a board.
-
-    A = A_0 blkdiag(R'R_f, R'R_f);   Adot V = A_0 [0; R'R_f (w x v)].
-    """
-
-    def __init__(self, frame: str, held: tuple[str, ...], R: Array, free: tuple[str, ...] | None = None) -> None:
-        super().__init__(frame, held, free)
-        self._R = np.array(R, float)
-
-    hold = Contact.hold  # its rows turn with the frame
-
-    def turn(self, state: State) -> Array:
-        return np.asarray(self.seen(state).T.rotation.T @ self._R)
-
-    def _turned(self, rows: Array, state: State) -> Array:
-        X, R = np.zeros((6, 6)), self.turn(state).T
-        X[:3, :3] = X[3:, 3:] = R
-        return rows @ X
-
-    def A(self, state: State) -> Array:
-        return self._turned(self._A, state)
-
-    def free(self, state: State) -> Array:
-        return self._turned(self._free, state)
-
-    def pseudo_inverse(self, A: Array) -> Array:
-        return A  # its rows are orthonormal
-
-    def Adot_V(self, state: State) -> Array:
-        V = self.seen(state).V
-        return self._turned(self._A, state)[:, 3:] @ (pin.skew(V[:3]) @ V[3:])  # numpy's cross is slow
-
-
-class ScrewContact(Contact):
-    """The world leaves a frame free along given screws only (a hinge, a slide), fixed to the world.
-
-    `screws` (f, 6) are twists in the axes of the pose `origin`; with A_0 their annihilator, A = A_0 Ad(origin^-1 T).
-    Its Adot V is zero, for d/dt Ad_T = Ad_T ad_V and ad_V V = 0. Each row of A_0 is one axis of the origin less what
-    the screws move it by, so that the multipliers are wrenches along these axes: a hinge along z leaves mx, my, fx, fy,
-    fz, its forces taken by the axis.
-    """
-
-    def __init__(self, frame: str, screws: Array, origin: pin.SE3, names: tuple[str, ...] = ()) -> None:
-        self.frame, self._origin = frame, origin.copy()
-        self._screws = np.array(screws, float).reshape(-1, 6)
-        if np.linalg.matrix_rank(self._screws) < len(self._screws):
-            raise WrenchError("the free screws are not independent")
-        self._A0, self._held_axes = _annihilator(self._screws)
-        self.k = self._A0.shape[0]
-        self._names = names
-        self._zero = np.zeros(self.k)
-
-    def A(self, state: State) -> Array:
-        X = self._origin.actInv(self.seen(state).T)
-        return self._A0.dot(X.toActionMatrix()[_ANGULAR_FIRST])
-
-    def pseudo_inverse(self, A: Array) -> Array:
-        return np.linalg.solve(A.dot(A.T), A)  # its rows are independent, each with a one of its own
-
-    def Adot_V(self, state: State) -> Array:
-        return self._zero
-
-    def free(self, state: State) -> Array:
-        back = self._origin.actInv(self.seen(state).T).toActionMatrixInverse()[_ANGULAR_FIRST]
-        screws = self._screws.dot(back.T)
-        return np.linalg.solve(screws.dot(screws.T), screws)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        return self._held_axes
-
-    @property
-    def free_axes(self) -> tuple[str, ...]:
-        return self._names or super().free_axes
-
-
-def _annihilator(screws: Array) -> tuple[Array, tuple[str, ...]]:
-    """A_0 (6 - f, 6) with A_0 screws' = 0, and its axes: all but those that tell how far along each screw (f, 6).
-
-    A turn is told by an axis of rotation, whatever its lever: angular axes are taken first.
-    """
-    rest, taken = screws.copy(), list[int]()
-    for _ in screws:
-        angular = np.abs(rest[:, :3]).max() > 1e-6 * np.abs(rest).max()
-        size = np.abs(rest[:, :3] if angular else rest)
-        i, j = np.unravel_index(int(np.argmax(size)), size.shape)
-        rest = rest - np.outer(rest[:, j] / rest[i, j], rest[i])  # what is left of the others, this axis taken
-        taken.append(int(j))
-    kept = [j for j in range(6) if j not in taken]
-    A = np.eye(6)[kept]
-    A[:, taken] = -np.linalg.solve(screws[:, taken], screws[:, kept]).T
-    return A, tuple(WRENCH_AXES[j] for j in kept)
-
-
-class SphereContact(Contact):
-    """The origin of the frame stays on a sphere around `centre` c [m, world]: a row along n = (p - c)/|p - c|.
-
-    A = [0, n' R];   Adot V = n' R (w x v) + ndot' R v   with   ndot = (I - n n') R v / |p - c|. Its multiplier is the
-    force of the robot on the sphere along the outward normal: pressing is negative.
-    """
-
-    k = 1
-
-    def __init__(self, frame: str, centre: Array) -> None:
-        self.frame, self._centre = frame, np.array(centre, float)
-
-    def _normal(self, state: State) -> tuple[Array, float]:
-        """n in the axes of the frame, and the distance from the centre."""
-        T = self.seen(state).T
-        from_centre = T.rotation.T @ (T.translation - self._centre)
-        radius = math.sqrt(from_centre @ from_centre)
-        return from_centre / radius, radius
-
-    def A(self, state: State) -> Array:
-        return np.concatenate((_ZERO, self._normal(state)[0]))[None]
-
-    def free(self, state: State) -> Array:
-        """The rotations, then the two tangents that a reflection of the frame's axes onto n leaves."""
-        n, _ = self._normal(state)
-        pole = int(np.abs(n).argmax())
-        u = n.copy()
-        u[pole] += math.copysign(1.0, n[pole])
-        reflection = np.eye(3) - np.outer(u, u) * (2.0 / (u @ u))
-        free = np.eye(6)[:5]
-        free[3:, 3:] = np.delete(reflection, pole, axis=0)
-        return free
-
-    def turn(self, state: State) -> Array:
-        """Two tangents, and z the outward normal."""
-        return np.vstack((self.free(state)[3:, 3:], self._normal(state)[0])).T
-
-    def pseudo_inverse(self, A: Array) -> Array:
-        return A  # its row is a unit vector
-
-    def Adot_V(self, state: State) -> Array:
-        V = self.seen(state).V
-        (w0, w1, w2, v0, v1, v2), v = V.tolist(), V[3:]
-        n, radius = self._normal(state)
-        turning = n @ (w1 * v2 - w2 * v1, w2 * v0 - w0 * v2, w0 * v1 - w1 * v0)
-        return np.array([turning + (v @ v - (n @ v) ** 2) / radius])
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        return ("normal",)

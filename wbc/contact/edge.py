@@ -7,15 +7,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from . import kernels
-from .analytic import edge_cone
-from .analytic.surface import ALONG, ENDS, PUSH
-from .contact import AxesContact, Contact, Held
-from .errors import WrenchError
-from .friction import SLIP, Cone, Unilateral
-from .qp import Array, Rows
-from .robot import State
-from .surface import SoleCone
+from .. import kernels
+from ..analytic import edge_cone
+from ..analytic.surface import ALONG, ENDS, PUSH
+from ..errors import WrenchError
+from ..friction import SLIP, Cone, Unilateral
+from ..qp import Array, Rows
+from ..state import State
+from ..surface import SoleCone
+from . import Contact, Held
+from .axes import AxesContact
 
 HELD = (("wy", "wz", "vx", "vy", "vz"), ("wx", "wz", "vx", "vy", "vz"))  # by an edge along x, along y
 

@@ -1,48 +1,28 @@
-"""What must hold at every tick, whatever goes wrong around the controller, held against it from outside.
-
-Nothing here asks the controller whether it did well: residuals, the torque of an answer, the torque of a hold and the
-ladder are worked out again from the tick's arguments, with numbers of their own where the controller has constants.
-"""
+"""A controller whose every tick is held against what must hold."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
-from .controller import Controller
-from .errors import InvariantError
-from .ladder import FOLLOWS, Status
-from .memory import Memory, Output
-from .qp import Array
-from .robot import Robot
-from .wrench import Wrench
+from ..arguments import Arguments, called_as
+from ..controller import Controller
+from ..errors import InvariantError
+from ..ladder import FOLLOWS, Status
+from ..memory import Memory, Output
+from ..qp import Array
+from ..wrench import Wrench
+from .body import Body
+from .call import Call
+from .certificate import certificate
+from .mark import mark
 
-# name -> what must hold
-INVARIANTS = {
-    "raises": "no exception leaves `step`",
-    "status": "a named status; with a reason and a name for all that is not OK",
-    "finite": "torque of the right shape, all of it finite",
-    "limit": "torque within its limits, the part that the robot's driver adds included",
-    "rate": "change of the torque within its rate limit",
-    "transition": "a status that may follow the last one",
-    "ladder": "5 bad ticks, then SAFE_HOLD; OK after 10 good ones; STOPPED after 20 missed or stale; up by reset alone",
-    "certificate": "no torque is accepted but that of an answer whose residuals are within 1e-6",
-    "dynamics": "the torque is that of the certified answer: M vdot + h + J'F = S'tau",
-    "hold": "a held torque is g + J'F of the last wrenches, with what is left to decay, or damping",
-    "refused": "what is not valid is refused, naming it, and changes nothing that is remembered",
-    "targets": "a target stands until a valid one takes its place",
-    "integral": "integrators take two periods at most",
-    "clock": "the controller's time is the caller's and does not run backwards",
-    "memory": "what is remembered, and what the caller owns, is not written to",
-}
 TOLERANCE, ROUNDING = 1e-6, 2e-15  # of the residuals; of a multiplier times a row
-HOLD, GOOD, DEGRADED_AT, STOPPED_AT, DAMPING, UNIT = 5, 10, 3, 20, 10.0, 1e-3  # the ladder's numbers, as promised
+HOLD, GOOD, DEGRADED_AT, STOPPED_AT, DAMPING = 5, 10, 3, 20, 10.0  # the ladder's numbers, as promised
 _HELD = (Status.SAFE_HOLD, Status.STOPPED)
 _KEPT = ("loops", "targets", "felt", "grounds", "starts", "phase", "watch", "t", "start", "followed", "grips")
 
@@ -90,26 +70,19 @@ class Watched:
         self.known = Known()
         self.controller.reset(q, v, tau)
 
-    def step(
-        self,
-        t: Any,
-        q: Any,
-        v: Any,
-        measured: Any = None,
-        targets: Any = None,
-        tau_applied: Any = None,
-        missed: Any = 0,
-    ) -> Output:
+    @called_as(Controller.step)
+    def step(self, given: Arguments) -> Output:
         """`Controller.step`. Raises InvariantError."""
         self.tick += 1
         controller, known = self.controller, self.known
         before = controller.memory
-        owned = [(x, x.copy()) for x in (q, v, tau_applied, *_wrenches(measured)) if isinstance(x, np.ndarray)]
+        arrays = (given.q, given.v, given.tau_applied, *_wrenches(given.measured))
+        owned = [(x, x.copy()) for x in arrays if isinstance(x, np.ndarray)]
         if known.mark is not None:
             self._hold("memory", mark(before) == known.mark, "what was remembered has changed since the last tick")
         self.checked["raises"] += 1
         try:
-            out = controller.step(t, q, v, measured, targets, tau_applied, missed)
+            out = controller.step(*given)
         except Exception as error:
             raise self._violated("raises", f"{type(error).__name__}: {error}") from error
         after = controller.memory
@@ -119,7 +92,7 @@ class Watched:
             x for x, _ in owned if after is not None for kept in (after.q, after.v, after.tau) if _shares(x, kept)
         ]
         self._hold("memory", not shared, "an argument's own storage is remembered")
-        call = Call(t, q, v, measured, targets, tau_applied, missed, self._body)
+        call = Call(given, self.controller.robot)
         self._answered(out)
         if after is None:
             self._hold("refused", call.wrong != "", "a controller that was never reset started without being started")
@@ -321,139 +294,6 @@ class Watched:
 
     def _violated(self, invariant: str, told: str) -> InvariantError:
         return InvariantError(invariant, self.tick, told, self.repeat)
-
-
-class Call:
-    """The arguments of a tick, judged: `wrong` says what of the state is not valid, "" if all is; `q`, `v`, `t` are
-    those that hold then."""
-
-    def __init__(
-        self, t: Any, q: Any, v: Any, measured: Any, targets: Any, applied: Any, missed: Any, body: Body
-    ) -> None:
-        robot = body.robot
-        self.t, self.q, self.v, self.measured, self.targets = t, q, v, measured, targets
-        whole = isinstance(missed, (int, np.integer)) and missed >= 0
-        self.missed, self._missed = (int(missed), True) if whole else (0, False)
-        self.applied: Array | None
-        self.applied, self._applied = (applied, True) if _sound(applied, robot.nu) else (None, applied is None)
-        self.wrong = next((name for name, x, n in (("q", q, robot.nq), ("v", v, robot.nv)) if not _sound(x, n)), "")
-        if not self.wrong:
-            self.q = q.copy()
-            for part in robot.unit_parts:
-                norm = float(np.linalg.norm(q[part]))
-                if not abs(norm - 1.0) <= UNIT:
-                    self.wrong = f"q, with a norm of {norm:g}"
-                    break
-                self.q[part] /= norm
-        if not self.wrong and not (isinstance(t, (int, float)) and math.isfinite(t)):
-            self.wrong = "t"
-
-    def refused(self, controller: Controller) -> list[str]:
-        """The fields, other than of the state, that are not valid."""
-        found = [] if self._missed else ["missed"]
-        found += [] if self._applied else ["tau_applied"]
-        for name, given in (("measured", self.measured), ("targets", self.targets)):
-            if given is not None and not isinstance(given, Mapping):
-                found.append(name)
-        frames = controller.robot.frames
-        for name, wrench in self.measured.items() if isinstance(self.measured, Mapping) else ():
-            felt = any(name in phase.feeling for phase in controller.phases)
-            good = isinstance(wrench, Wrench) and _sound(wrench.F, 6) and wrench.frame in frames
-            if not (felt and good):
-                found.append(f"measured.{name}" if felt else "measured")
-        good_ones = self.valid_targets(controller)
-        given = self.targets if isinstance(self.targets, Mapping) else {}
-        return found + [f"targets.{name}" for name in given if name not in good_ones]
-
-    def valid_targets(self, controller: Controller) -> dict[str, float]:
-        known = {f"{name}.{axis}" for p in controller.phases for name, c in p.contacts.items() for axis in c.axes}
-        given = self.targets if isinstance(self.targets, Mapping) else {}
-        return {
-            name: float(value)
-            for name, value in given.items()
-            if name in known and isinstance(value, (int, float)) and math.isfinite(value)
-        }
-
-
-class Body:
-    """Pinocchio's storage of its own for a robot: its equations of motion, apart from the controller's."""
-
-    def __init__(self, robot: Robot) -> None:
-        self.robot, self.data = robot, robot.model.createData()
-        self.inertia = np.zeros((robot.nv, robot.nv))
-
-    def at(self, q: Array, v: Array) -> Array:
-        """h (nv,) [N m], of a state that from now on is the one."""
-        model, data = self.robot.model, self.data
-        M = np.triu(pin.crba(model, data, q))
-        self.inertia = M + np.triu(M, 1).T
-        h = np.array(pin.nonLinearEffects(model, data, q, v))
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        return h if self.robot.damping is None else h + self.robot.damping * v
-
-    def torque(self, q: Array, v: Array, vdot: Array) -> Array:
-        """(nv,) M vdot + h [N m]."""
-        h = self.at(q, v)
-        return self.inertia.dot(vdot) + h
-
-    def gravity(self, q: Array) -> Array:
-        return np.array(pin.computeGeneralizedGravity(self.robot.model, self.data, q))
-
-    def carried(self, contact: Any, F: Array) -> Array:
-        """(nv,) J' F of a wrench on what the contact is with, and of its reaction where that is a body of the robot."""
-        here = self.robot.frame_id(contact.frame)
-        tau = self._pulled(here, pin.Force(F[3:], F[:3]))
-        if contact.against is None:
-            return tau
-        there = self.robot.frame_id(contact.against)
-        T = self.data.oMf[there].actInv(self.data.oMf[here])
-        return tau - self._pulled(there, T.act(pin.Force(F[3:], F[:3])))
-
-    def _pulled(self, frame: int, force: Any) -> Array:
-        J = pin.getFrameJacobian(self.robot.model, self.data, frame, pin.ReferenceFrame.LOCAL)
-        return np.asarray(J.T.dot(force.vector))
-
-
-def certificate(problem: Any, x: Array, z: Array) -> tuple[float, float, float]:
-    """Primal, dual and gap residuals of `qp.Certificate`, in plain numpy."""
-    H, g, C, lo, hi, n_eq, _ = problem
-    n = g.size
-    if x.shape != g.shape or z.shape != lo.shape:
-        return math.inf, math.inf, math.inf
-    value = np.concatenate((x, C @ x))
-    outside = np.maximum(value - hi, 0.0) + np.maximum(lo - value, 0.0)
-    dual = H @ x + g + z[:n] + C.T @ z[n:]
-    free = np.ones(lo.size, bool)
-    free[n : n + n_eq] = False
-    up, down = free & (z > 0.0), free & (z < 0.0)
-    gaps = np.concatenate((z[up] * (hi - value)[up], z[down] * (lo - value)[down], [0.0]))
-    return float(np.linalg.norm(outside)), float(np.linalg.norm(dual)), float(np.abs(gaps).max())
-
-
-def mark(value: Any) -> Any:
-    """What tells two values apart to the last bit, however they are nested."""
-    if isinstance(value, np.ndarray):
-        return value.tobytes(), value.shape
-    if isinstance(value, pin.SE3):
-        return value.homogeneous.tobytes()
-    if isinstance(value, Mapping):
-        return tuple((name, mark(each)) for name, each in value.items())
-    if isinstance(value, tuple | list):
-        return tuple(map(mark, value))
-    if is_dataclass(value) and not isinstance(value, type):
-        return tuple(mark(getattr(value, each.name)) for each in fields(value))
-    if isinstance(value, float):
-        return value.hex()
-    return value if isinstance(value, str | int | bool | None | Status) else id(value)
-
-
-def _sound(x: Any, n: int) -> bool:
-    """Whether it is a finite float64 array of n numbers, in one piece and writeable."""
-    if not isinstance(x, np.ndarray) or x.dtype != np.float64 or not x.dtype.isnative or x.shape != (n,):
-        return False
-    # whose square is no number is as good as none
-    return x.flags.c_contiguous and x.flags.aligned and x.flags.writeable and bool((np.abs(x) < 1e150).all())
 
 
 def _wrenches(measured: Any) -> list[Any]:

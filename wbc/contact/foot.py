@@ -7,12 +7,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from . import kernels
-from .contact import Contact, Held, WorldAxesContact
-from .footing import LIFTED
-from .kernels.compiled import Counts
-from .qp import Array
-from .robot import State
+from .. import kernels
+from ..footing import LIFTED
+from ..kernels.compiled import Counts
+from ..qp import Array
+from ..state import State
+from . import Contact, Held
+from .axes import WorldAxesContact
 
 _POINT = ("vx", "vy", "vz")
 

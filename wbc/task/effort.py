@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .dynamics import inertia
-from .qp import Array, Rows
-from .robot import State
+from ..dynamics import inertia
+from ..qp import Array, Rows
+from ..state import State
 
 
 class TorqueTask:

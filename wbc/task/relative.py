@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from .analytic import gain_matrix
-from .dynamics import weighed
-from .errors import GainError
-from .frame import Frame
-from .pair import seen
-from .qp import Array, Rows
-from .reference import Reference
-from .robot import State
-from .singular import LEAST
-from .task import SPEEDS, MotionTask
-from .wrench import VELOCITY_AXES
+from ..analytic import gain_matrix
+from ..dynamics import weighed
+from ..errors import GainError
+from ..frame import Frame
+from ..pair import seen
+from ..qp import Array, Rows
+from ..reference import Reference
+from ..singular import LEAST
+from ..state import State
+from ..wrench import VELOCITY_AXES
+from .motion import SPEEDS, MotionTask
 
 NEAREST = 0.01  # [m] from which on a gaze no longer turns faster as its target comes nearer
 BEHIND = -0.999  # cosine of the angle up to which a gaze is exact: looking away it does not know which way to turn

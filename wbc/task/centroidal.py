@@ -13,17 +13,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from . import kernels
-from .analytic import gain_matrix
-from .axes import MOMENTUM_AXES
-from .dynamics import inertia
-from .errors import GainError
-from .frame import Frame
-from .qp import Array, Rows
-from .reference import Reference, Sample
-from .robot import State
-from .singular import LEAST
-from .task import SPEEDS, PostureTask
+from .. import kernels
+from ..analytic import gain_matrix
+from ..axes import MOMENTUM_AXES
+from ..dynamics import inertia
+from ..errors import GainError
+from ..frame import Frame
+from ..qp import Array, Rows
+from ..reference import Reference, Sample
+from ..singular import LEAST
+from ..state import State
+from .motion import SPEEDS
+from .posture import PostureTask
 
 _ORDER = [3, 4, 5, 0, 1, 2]
 BASE_SHARE = 1e-3  # what a posture's base weighs against its joints
