@@ -3,6 +3,7 @@
 import os
 import shutil
 import tempfile
+from functools import partial
 
 import numpy as np
 import pytest
@@ -41,6 +42,12 @@ LOADED = {
     "ur5e": ("ur5e", None, None),
     "planar3r": ("planar3r", None, None),
 }
+
+
+@pytest.fixture
+def tell(record_property):
+    """tell(name, value, most= or least=, why=""): a number for the table of the rows, held to its bound."""
+    return partial(rows.told, record_property)
 
 
 @pytest.fixture(scope="session")

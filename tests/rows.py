@@ -1,14 +1,15 @@
 """The rows of the faults that a controller meets, and the table of them: `pytest -m row` fills it in.
 
 A test that belongs to a row is marked `@pytest.mark.row(9)`, a whole file with `pytestmark = pytest.mark.row(9)`; what
-it measured it tells by `record_property("overshoot [rad]", value)`. Numbers of one name show their largest. At the full
-size: `WBC_CAMPAIGN=large pytest -m row`.
+it measured it tells by the fixture `tell("overshoot [rad]", value, most=1e-3)`, which holds it to its bound, or by
+`record_property` where there is none. Numbers of one name show their largest, those with a lower bound their smallest.
+At the full size: `WBC_CAMPAIGN=large pytest -m row`.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +37,20 @@ ROWS: dict[Hashable, tuple[str, str]] = {
     "all": ("all of it at once, by seed", "every invariant at every tick"),
     "planted": ("bugs planted in the package", "at least 19 of 20 caught, each named"),
 }  # fmt: skip
+
+
+AT_LEAST = "(>= "
+
+
+def told(
+    record: Callable[[str, Any], None], name: str, value: float, most: float | None = None, least: float | None = None,
+    why: str = "",
+) -> None:  # fmt: skip
+    """A number for the table, with the bound that it is held to here; `why`: the command that repeats it."""
+    bound = f"(<= {most:g})" if most is not None else f"{AT_LEAST}{least:g})"
+    record(f"{name} {bound}", float(value))
+    holds = value <= most if most is not None else value >= least
+    assert holds, f"{name}: {value:g} {bound}  {why}"
 
 
 def _plain(value: Any) -> Any:
@@ -73,26 +88,24 @@ class Rows:
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.when == "call" or (report.when == "setup" and report.outcome != "passed"):
             numbers = tuple((name, value) for name, value in report.user_properties if name != "row")
-            xfailed = hasattr(report, "wasxfail") and report.skipped
-            outcome = "xfailed" if xfailed else report.outcome
-            self.told += [Told(row, outcome, numbers) for name, row in report.user_properties if name == "row"]
+            self.told += [Told(row, report.outcome, numbers) for name, row in report.user_properties if name == "row"]
 
     def verdict(self, row: Hashable) -> str:
         outcomes = Counter(told.outcome for told in self.told if told.row == row)
-        if not outcomes["passed"] + outcomes["failed"] + outcomes["xfailed"]:
+        if not outcomes["passed"] + outcomes["failed"]:
             return "MISSING"
         if outcomes["failed"]:
             return f"FAILED {outcomes['failed']} of {sum(outcomes.values())}"
-        known = f", {outcomes['xfailed']} known to fail" if outcomes["xfailed"] else ""
-        return f"holds, {outcomes['passed']} tests{known}"
+        return f"holds, {outcomes['passed']} tests"
 
     def numbers(self, row: Hashable) -> str:
-        """The largest of each number, and every word."""
+        """The largest of each number (the smallest of one with a lower bound), and every word."""
         found: dict[str, list[Any]] = {}
         for told in self.told:
             for name, value in told.numbers if told.row == row else ():
                 found.setdefault(name, []).append(value)
-        return ", ".join(f"{name} {_summary(values)}" for name, values in found.items())
+        worst = {name: min if AT_LEAST in name else max for name in found}
+        return ", ".join(f"{name} {_summary(values, worst[name])}" for name, values in found.items())
 
     def pytest_sessionfinish(self, session: Any) -> None:
         config = session.config
@@ -118,7 +131,7 @@ def _asked(config: Any) -> bool:
     return config.option.markexpr == "row" and not config.option.collectonly
 
 
-def _summary(values: list[Any]) -> str:
+def _summary(values: list[Any], worst: Callable[[list[Any]], Any]) -> str:
     if all(isinstance(value, int | float) for value in values):
-        return f"{max(values):.4g}"
+        return f"{worst(values):.4g}"
     return ", ".join(f"{word} ({count})" if count > 1 else str(word) for word, count in Counter(values).most_common())

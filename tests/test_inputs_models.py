@@ -11,6 +11,7 @@ import re
 import struct
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -179,11 +180,11 @@ def outside(place: Path) -> tuple[Path, ...]:
 @pytest.mark.skipif(not LINUX, reason="the kernel tells of opened files on Linux")
 @pytest.mark.parametrize("kind", ["robot", "tool", "scene"])
 @pytest.mark.parametrize("case", REACHING)
-def test_nothing_outside_is_opened(case: str, kind: str, place: Path) -> None:
+def test_nothing_outside_is_opened(case: str, kind: str, place: Path, tell: Any) -> None:
     file = spec(place, REACHING[case], kind)
     with opened(*outside(place)) as names:
         result = CliRunner().invoke(main, ["check", str(file), "--json"])
-    assert names == set()
+    tell("files opened outside", len(names), most=0, why=str(names))
     assert result.exit_code == 2, result.output
     assert re.search(rf"task.yaml:\d:1: {kind}: ", result.stderr)
     assert "outside of the spec's folder" in result.stderr

@@ -81,7 +81,7 @@ def free(seen, binding=None):
 
 @pytest.mark.row(7)
 @pytest.mark.parametrize("name", SPECS)
-def test_row_7_what_moves_a_torque_is_refused(name, record_property):
+def test_row_7_what_moves_a_torque_is_refused(name, tell):
     rng = np.random.default_rng(7)
     repeat = f"pytest tests/test_lies.py -k {name}"
     weakest = leaning = letting = worst = 0.0
@@ -158,5 +158,4 @@ def test_row_7_what_moves_a_torque_is_refused(name, record_property):
           f"(worst let through {worst:.1e})")  # fmt: skip
     print(told)
     for what, bound in (("weakest direction", weakest), ("leaning", max(leaning, letting)), ("let through", worst)):
-        record_property(f"{what} [N m]", float(bound))
-    assert max(weakest, leaning, letting, worst) <= MOVES, f"{told}; repeat: {repeat}"
+        tell(f"{what} [N m]", bound, most=MOVES, why=f"{told}; repeat: {repeat}")

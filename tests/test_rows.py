@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import pytest
-from rows import ROWS, Rows
+from rows import ROWS, Rows, told
 
 
 def report(row, outcome="passed", when="call", **numbers):
@@ -50,6 +50,20 @@ def test_a_missing_row_fails_the_run_that_asks_for_all(asked, told, expected):
     session = SimpleNamespace(config=config, exitstatus=0)
     rows.pytest_sessionfinish(session)
     assert session.exitstatus == expected
+
+
+def test_a_number_is_told_with_its_bound_and_held_to_it():
+    rows = Rows()
+    for value in (3e-4, 1e-4):
+        numbers = {}
+        told(numbers.__setitem__, "speed", value, most=0.05)
+        told(numbers.__setitem__, "named", value, least=1e-5)
+        rows.pytest_runtest_logreport(report(9, **numbers))
+    assert rows.numbers(9) == "speed (<= 0.05) 0.0003, named (>= 1e-05) 0.0001"
+    for bound in ({"most": 0.5}, {"least": 2.0}):
+        for value in (1.0, float("nan")):
+            with pytest.raises(AssertionError, match="again"):
+                told({}.__setitem__, "speed", value, **bound, why="again")
 
 
 def test_a_row_that_there_is_not_is_refused():

@@ -173,33 +173,29 @@ def told(robot, flown, task):
 
 @pytest.mark.parametrize("speed", [0.02, 0.5])
 @pytest.mark.parametrize("name", CASES if LARGE else ["planar", "panda elbow"])
-def test_it_is_crossed_with_bounded_acceleration(name, speed, request, record_property):
+def test_it_is_crossed_with_bounded_acceleration(name, speed, request, tell):
     robot = request.getfixturevalue(CASES[name][0])
     flown, task = crossing(robot, name, speed)
     low, errors = told(robot, flown, task)
-    figures = {"smallest": low, "acceleration": flown.acceleration, "rate": flown.rate, "end": float(errors[-1])}
-    for what, value in {**figures, "error": float(errors.max())}.items():
-        record_property(what, value)
     most, rate = SINGULAR[speed]
-    assert low < LEAST  # it is one
     assert any("draw.singular" in active for active in flown.active)
     assert set(flown.status) <= {"OK", "LIMITED"}
-    assert flown.acceleration <= most, figures
-    assert flown.rate <= rate * (1.0 + 1e-9), figures
-    assert errors[-1] < 1e-3, figures
+    tell("smallest singular value", low, most=LEAST)  # it is one
+    tell(f"at {speed} m/s: acceleration [rad/s^2]", flown.acceleration, most=most)
+    tell(f"at {speed} m/s: rate [N m/s]", flown.rate, most=rate * (1.0 + 1e-9))
+    tell("end [m]", errors[-1], most=1e-3)
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.5])
-def test_undamped_it_is_not(speed, planar3r, record_property):
+def test_undamped_it_is_not(speed, planar3r):
     """Else the bounds above would show nothing."""
     flown, _ = crossing(planar3r, "planar", speed, singular=0.0)
-    record_property("acceleration", flown.acceleration)
     assert flown.acceleration > 2.0 * SINGULAR[speed][0]
     assert not any("draw.singular" in active for active in flown.active)
 
 
 @pytest.mark.parametrize("time", [4.0, 0.8] if LARGE else [0.8])
-def test_axes_of_a_wrist_align(time, ur5e, record_property):
+def test_axes_of_a_wrist_align(time, ur5e, tell):
     """From one side of the alignment to the other along one screw, that the wrist must flip for, and back."""
     ends = (np.array([0.0, -1.2, 1.6, -2.0, s * 0.15, 0.0]) + 0.04 * (s > 0) for s in (-1.0, 1.0))
     q, other = ends
@@ -213,19 +209,15 @@ def test_axes_of_a_wrist_align(time, ur5e, record_property):
         task = MotionTask(frame, path, singular=singular)
         controller = Controller(ur5e, tasks={"draw": task}, limits=LIMITS, q=q)
         flown = fly(controller, q, time + 0.8, "pytest tests/test_singular.py -k wrist")
-        low, errors = told(ur5e, flown, task)
         found[singular] = flown
-        record_property(f"{singular}: smallest, acceleration, rate, error, end", (
-            low, flown.acceleration, flown.rate, float(errors.max()), float(errors[-1])
-        ))  # fmt: skip
     assert any("draw.singular" in active for active in found[LEAST].active)
     most, rate = SINGULAR[0.02 if time > 1.0 else 0.5]
-    assert found[LEAST].acceleration <= most
-    assert found[LEAST].rate <= rate * (1.0 + 1e-9)
+    tell("of a wrist: acceleration [rad/s^2]", found[LEAST].acceleration, most=most)
+    tell("of a wrist: rate [N m/s]", found[LEAST].rate, most=rate * (1.0 + 1e-9))
 
 
 @pytest.mark.parametrize(("name", "rank"), [("planar", 1), ("eraser", 3)])
-def test_within_a_contact_that_holds(name, rank, rng, record_property):
+def test_within_a_contact_that_holds(name, rank, rng, tell):
     """The law by numpy in what a contact leaves free, at states about those in which the arm is stretched out."""
     built = build(load(name))
     robot, none = built.robot, np.full(built.robot.nu, np.inf)
@@ -254,12 +246,56 @@ def test_within_a_contact_that_holds(name, rank, rng, record_property):
         np.testing.assert_allclose(got, wanted, atol=1e-6 * (1.0 + np.abs(b).max()))
         np.testing.assert_allclose(held.G @ out.vdot, held.rhs, atol=1e-7)
         largest = max(largest, float(np.abs(got[low] / s[low]).max() * LEAST / np.linalg.norm(b - G @ free)))
-    record_property("share of the bound", largest)
     assert damped > 5
-    assert largest <= 1.0 + 1e-6
+    tell("within a contact: share of the bound", largest, most=1.0 + 1e-6)
 
 
-def test_it_is_told(record_property):
+BEGUN = 100  # ticks until the force that is pressed with has come up
+
+
+def slid(speed, singular=LEAST, share=2.0):
+    """The planar arm slides along its wall until it is stretched out, 1 cm on by its reference, and back; or some share
+    of one way."""
+    built = build(load("planar"))
+    robot, phase = built.robot, built.phases[0]
+    task, end = phase.tasks["draw"], np.sqrt(0.8**2 - 0.1**2)  # [m] from the shoulder, 0.1 m below it
+    task.singular = singular
+    x = end - (0.006 if speed < 0.1 else 0.25)
+    bend, up = np.arccos(np.hypot(x, 0.1) / 0.8), np.arctan2(0.1, x)
+    q = np.array([up + bend, -2.0 * bend, bend - up - np.pi / 2.0])
+    T = robot.state(q, np.zeros(3)).frame("eraser").T.copy()
+    far = end - x + 0.01
+    time = 1.875 * far / speed
+    task.reference = Path(T, {3: quintic([0.0, time, 2.0 * time], [0.0, far, 0.0])}, offset=pin.SE3.Identity())
+    controller = Controller(robot, phases=[phase], q=q)
+    repeat = f"pytest tests/test_singular.py -k 'wall and {speed}'"
+    flown = fly(controller, q, share * time + 0.5, repeat, held=True)
+    return flown._replace(**{name: getattr(flown, name)[BEGUN:] for name in ("q", "v", "tau", "active", "status")}), T
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.5])
+def test_a_wall_holds_the_arm_that_crosses(speed, tell):
+    """In a closed loop with a rigid wall that is pressed on: it stays on it, and comes back to where it began."""
+    flown, T = slid(speed)
+    robot = build(load("planar")).robot
+    places = np.array([robot.state(*each).frame("eraser").p for each in zip(flown.q[::7], flown.v[::7], strict=True)])
+    last = robot.state(flown.q[-1], flown.v[-1]).frame("eraser").p
+    most, rate = SINGULAR[speed]
+    assert any("draw.singular" in active for active in flown.active)
+    assert set(flown.status) <= {"OK", "LIMITED"}
+    tell(f"on a wall at {speed} m/s: acceleration [rad/s^2]", flown.acceleration, most=most)
+    tell(f"on a wall at {speed} m/s: rate [N m/s]", flown.rate, most=rate)
+    tell("off the wall [m]", np.abs(places[:, 2] - T.translation[2]).max(), most=1e-3)
+    tell("end [m]", np.linalg.norm(last - T.translation), most=1e-3)
+
+
+def test_undamped_it_does_not_cross_a_wall_calmly():
+    flown, _ = slid(0.02, singular=0.0, share=0.5)
+    assert flown.acceleration > 2.0 * SINGULAR[0.02][0]
+    assert flown.rate > 2.0 * SINGULAR[0.02][1]
+
+
+def test_it_is_told():
     """A figure of a run is the singular value by numpy, and a phase may wait for it."""
     ran = runs.result("eraser", "duration=0.3")
     built = build(load("eraser"))

@@ -15,6 +15,7 @@ import bars
 import numpy as np
 import pytest
 import runs
+from air import pressing
 
 from wbc.build import build
 from wbc.dynamics import mobility
@@ -148,7 +149,7 @@ MODELS = {"spring": spring, "press": press, "follow": follow}
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_never_below_zero_nor_more_than_there_is(model, record_property):
+def test_never_below_zero_nor_more_than_there_is(model, record_property, tell):
     """On 1000 seeds, a third of them a model, with 1 to 20 ms of delay; the sum against the true one at every tick."""
     lowest, promised, limited, wrong = np.inf, -np.inf, 0, []
     share = SEEDS if LARGE or len(SEEDS) == 1 else SEEDS[list(MODELS).index(model) :: len(MODELS)]
@@ -158,10 +159,9 @@ def test_never_below_zero_nor_more_than_there_is(model, record_property):
         limited += story.limited > 0
         if not (story.low >= bars.TANK and story.promised <= 1e-9):
             wrong.append(f"WBC_SEED={seed} pytest tests/test_tank.py -k {model}  # {story.low:g}, {story.promised:g} J")
-    record_property(f"{model}: below zero by [J]", -lowest)
-    record_property(f"{model}: promised beyond the truth [J]", promised)
     record_property(f"{model}: seeds that it bounds", f"{limited} of {len(share)}")
-    assert not wrong, "\n".join(wrong[:20])
+    tell(f"{model}: energy [J]", lowest, least=bars.TANK, why="\n".join(wrong[:20]))
+    tell(f"{model}: promised beyond the truth [J]", promised, most=1e-9, why="\n".join(wrong[:20]))
 
 
 def unpaid(bounded, tank, x, V, wanted, *given):
@@ -278,7 +278,7 @@ def balance(result, built):
 
 
 @pytest.mark.parametrize("kind", list(KINDS)[:3])
-def test_the_controllers_tank_is_never_below_zero(tmp_path, kind, record_property):
+def test_the_controllers_tank_is_never_below_zero(tmp_path, kind, tell):
     """Through the controller and MuJoCo, against the true pushes and the true way of the hand."""
     seeds = SEEDS if LARGE or len(SEEDS) == 1 else range(1)
     lowest, left, wrong = np.inf, np.inf, []
@@ -290,8 +290,8 @@ def test_the_controllers_tank_is_never_below_zero(tmp_path, kind, record_propert
             wrong.append(
                 f"WBC_SEED={seed} pytest tests/test_tank.py -k 'controllers and {kind}'  # {low:g}, {true:g} J"
             )
-    record_property(f"{kind} in MuJoCo: below zero by [J]", -lowest)
-    record_property(f"{kind} in MuJoCo: truly overdrawn by [J]", -left)
+    tell(f"{kind} in MuJoCo: energy [J]", lowest, least=bars.TANK, why="\n".join(wrong))
+    tell(f"{kind} in MuJoCo: truly left [J]", left, least=-1e-3, why="\n".join(wrong))
     assert not wrong, "\n".join(wrong)
 
 
@@ -323,14 +323,12 @@ def test_memory_and_replay(tmp_path):
     assert all(replay.recorded(tick).same(ctl.step(*given)) for tick, ctl, given in replay.each())
 
 
-def test_a_force_into_the_air_takes_no_more_than_the_tank_has(tmp_path, record_property):
+def test_a_force_into_the_air_takes_no_more_than_the_tank_has(tmp_path, tell):
     """Nothing holds it back but the tank: m v^2 / 2 is all that ever comes of it."""
-    text = SPEC_IN_THE_AIR
-    path = tmp_path / "air.yaml"
     fastest = {}
-    for tank in ("", ", tank: {energy: 0.02, delay: 0.003}"):
-        path.write_text(text.format(tank=tank))
-        built = build(load(path))
+    for tank in (False, True):
+        gains = {"tank": "{energy: 0.02, delay: 0.003}"} if tank else {}
+        built = build(load(pressing(tmp_path, 0.2, -10, gains, duration=0.4, delay=2)))
         energies = []
 
         def watch(seen, out, built=built, energies=energies):
@@ -342,40 +340,12 @@ def test_a_force_into_the_air_takes_no_more_than_the_tank_has(tmp_path, record_p
 
         result = run(built, hook=watch)
         fastest[tank] = max(energies)
-    record_property("energy of a motion over that of the tank", fastest[tank] / 0.02)
     assert np.nanmin(result.log["press.tank"]) >= 0.0
     assert result.summary["metrics"]["press.tank.min"] >= 0.0
     assert any("press.tank" in active for active in result.log.active)
-    assert fastest[""] > 0.2
-    assert fastest[tank] <= 0.02 * 1.02
+    assert fastest[False] > 0.2
+    tell("energy of a motion over that of the tank", fastest[True] / 0.02, most=1.02)
 
-
-SPEC_IN_THE_AIR = """
-title: A force with nothing before it
-robot: panda
-tool: chalk
-scene: board
-rate: 1000
-duration: 0.4
-references:
-  above: {{line: {{in: board, from: [-0.06, -0.05, 0.2], to: [-0.06, -0.05, 0.2], time: 1}}}}
-contacts:
-  board:
-    frame: chalk
-    in: on
-    natural:    {{fx: 0, fy: 0, mx: 0, my: 0, mz: 0, vz: 0}}
-    artificial: {{vx: 0, vy: 0, wx: 0, wy: 0, wz: 0, fz: -10}}
-tasks:
-  hover:   {{type: motion, frame: chalk, target: above, kp: 100, kd: 20}}
-  press:   {{type: force, contact: board{tank}}}
-  stay:    {{type: motion, contact: board, kp: 100, kd: 20}}
-  posture: {{type: posture, target: start, kp: 50, kd: 10}}
-phases:
-  ready: {{contacts: [], tasks: [hover, posture], until: {{time: 0.002}}}}
-  press: {{contacts: [board], tasks: [press, stay, posture]}}
-limits: {{torque: model, torque_rate: 1000, position: model, velocity: model}}
-plant: {{delay: 2}}
-"""
 
 FAULTS = {
     "no energy": ("tank: 1", "tank: 0", "tasks.feel.tank: expected a number greater than 0 [J], got 0"),

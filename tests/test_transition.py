@@ -109,7 +109,8 @@ class TestLoss:
         touched = [1.0] * 5
         assert play(self.way, 50, left=touched + [LOST_SHARE] * 45, right=1.0) is None
         assert play(self.way, 50, left=touched + [LOST_SHARE - 1e-6] * 45, right=1.0)[0] == 4 + LOST_TICKS
-        assert play(self.way, 50, left=touched + [-1.0] * 45, right=1.0) is not None  # pulled at
+        assert play(self.way, 50, left=touched + [-0.2] * 45, right=1.0)[0] == 4 + LOST_TICKS  # of noise, or of a load
+        assert play(self.way, 50, left=touched + [-1.0] * 45, right=1.0) is None  # a wrong sensor: `wbc.guard` tells
 
     def test_is_not_told_from_a_missing_measurement(self):
         assert play(self.way, 50, left=[1.0] * 5 + [math.nan] * 45, right=math.nan) is None

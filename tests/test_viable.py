@@ -81,7 +81,7 @@ def test_what_is_kept_is_viable():
 
 @pytest.mark.row(9)
 @pytest.mark.parametrize("exact", [True, False], ids=["held for the tick", "speed first"])
-def test_from_viable_states_to_rest(exact, record_property):
+def test_from_viable_states_to_rest(exact, record_property, tell):
     """Pushed to and fro, then outwards until they rest, with no more jerk than there is: no bound is empty, none is
     overstepped, every state on the way is viable by the theory."""
     rng = np.random.default_rng(8)
@@ -110,9 +110,8 @@ def test_from_viable_states_to_rest(exact, record_property):
             if not joints.n:
                 break
     assert not joints.n or np.abs(v).max() <= 1e-2
-    record_property("overshoot [rad]", float(over))
     record_property("states", STATES)
-    assert over <= OVERSHOOT
+    tell("overshoot [rad]", over, most=OVERSHOOT)
     assert fast <= 1.001
     assert asked <= 1.0
     if LARGE:
@@ -133,7 +132,7 @@ def _awake(joints, q, v, *more):
 
 
 @pytest.mark.row(9)
-def test_from_outside_they_come_back():
+def test_from_outside_they_come_back(tell):
     """Beyond the range and on the way out or in: never an empty bound, no further out than the theory's brake must go,
     back inside and there to stay."""
     rng = np.random.default_rng(9)
@@ -150,7 +149,7 @@ def test_from_outside_they_come_back():
         vdot = np.clip(np.clip(1e4 * side, rows.lo, rows.hi), vdot - joints.jerk * DT, vdot + joints.jerk * DT)
         q, v = integrate(q, v, vdot, True)
         peak = np.maximum(peak, np.abs(q))
-    assert (np.abs(q) - joints.half).max() <= OVERSHOOT
+    tell("from outside: left beyond [rad]", (np.abs(q) - joints.half).max(), most=OVERSHOOT)
     assert (peak - farthest).max() <= OVERSHOOT
 
 
@@ -177,7 +176,7 @@ def test_a_robot_beyond_its_range_comes_back_and_says_so(bare_panda):
 
 @pytest.mark.row(9)
 @pytest.mark.parametrize("name", ["panda", "ur5e"])
-def test_all_limits_of_a_robot_leave_an_answer_in_every_viable_state(name, request):
+def test_all_limits_of_a_robot_leave_an_answer_in_every_viable_state(name, request, tell):
     """Torque, its rate, position, velocity and acceleration together, all joints at any viable speed at once, the
     torque that of a motion without acceleration, a task that pulls as hard as it can: nothing yields."""
     robot = request.getfixturevalue({"panda": "bare_panda"}.get(name, name))
@@ -195,4 +194,4 @@ def test_all_limits_of_a_robot_leave_an_answer_in_every_viable_state(name, reque
             out = made.step(0.0, q, v)
             assert out.status.name in ("OK", "LIMITED"), out.reason
             worst += "yield" in out.reason
-    assert worst == 0
+    tell("viable states of a robot without an answer", worst, most=0)

@@ -12,6 +12,7 @@ import os
 import bars
 import numpy as np
 import pytest
+from air import pressing
 
 from wbc.build import build
 from wbc.controller import Status
@@ -26,31 +27,6 @@ LARGE = os.environ.get("WBC_CAMPAIGN") == "large"
 SEEDS = [int(os.environ["WBC_SEED"])] if "WBC_SEED" in os.environ else range(20 if LARGE else 2)
 MOST = bars.WIND_UP  # times the impact without a wait
 WAIT = 10.0  # [s]
-SPEC = """
-title: Press from the air
-robot: panda
-tool: chalk
-scene: board
-rate: 1000
-duration: 1
-references:
-  above: {{line: {{in: board, from: [-0.06, -0.05, {height}], to: [-0.06, -0.05, {height}], time: 1}}}}
-contacts:
-  board:
-    frame: chalk
-    in: on
-    natural:    {{fx: 0, fy: 0, mx: 0, my: 0, mz: 0, vz: 0}}
-    artificial: {{vx: 0, vy: 0, wx: 0, wy: 0, wz: 0, fz: {force}}}
-tasks:
-  hover:   {{type: motion, frame: chalk, target: above, kp: 100, kd: 20}}
-  press:   {{type: force, contact: board, kp: {kp}, ki: {ki}, damping: {damping}, filter: 50}}
-  stay:    {{type: motion, contact: board, kp: 100, kd: 20}}
-  posture: {{type: posture, target: start, kp: 50, kd: 10}}
-phases:
-  ready: {{contacts: [], tasks: [hover, posture], until: {{time: 0.002}}}}
-  press: {{contacts: [board], tasks: [press, stay, posture]}}
-limits: {{torque: model, torque_rate: 1000, position: model, velocity: model}}
-"""
 
 
 class Rig:
@@ -59,12 +35,11 @@ class Rig:
     def __init__(self, folder, seed, height=0.004):
         rng = np.random.default_rng([seed, 14])
         self.values = {
-            "height": height, "force": -rng.uniform(6.0, 15.0), "kp": rng.uniform(0.0, 0.3),
-            "ki": rng.uniform(2.0, 10.0), "damping": rng.uniform(350.0, 600.0),
+            "force": -rng.uniform(6.0, 15.0), "kp": rng.uniform(0.0, 0.3), "ki": rng.uniform(2.0, 10.0),
+            "damping": rng.uniform(350.0, 600.0),
         }  # fmt: skip
-        path = folder / "press.yaml"
-        path.write_text(SPEC.format(**self.values))
-        self.built = build(load(path))
+        gains = {key: self.values[key] for key in ("kp", "ki", "damping")} | {"filter": 50}
+        self.built = build(load(pressing(folder, height, self.values["force"], gains)))
         self.controller = self.built.controller
         self.simulator = Simulator(self.built.robot, self.built.q, self.controller.dt, seed=seed)
         self.controller.reset(self.built.q, np.zeros(self.built.robot.nv))
@@ -121,7 +96,7 @@ def again(seed, test, told):
     return f"WBC_SEED={seed} pytest tests/test_windup.py -k {test}  # {told}"
 
 
-def test_ten_seconds_against_a_limit_and_then_contact(tmp_path, record_property):
+def test_ten_seconds_against_a_limit_and_then_contact(tmp_path, tell):
     ratios, wrong = [], []
     for seed in SEEDS:
         at_once, (waited, rig) = stuck(tmp_path, seed, 0.0)[0], stuck(tmp_path, seed, WAIT)
@@ -130,29 +105,26 @@ def test_ten_seconds_against_a_limit_and_then_contact(tmp_path, record_property)
         ratios.append(waited / at_once)
         if not ratios[-1] <= MOST:
             wrong.append(again(seed, "limit", f"{ratios[-1]:.2f} of {at_once:.1f} N"))
-    record_property("largest ratio of impacts", max(ratios))
-    assert not wrong, "\n".join(wrong)
+    tell("impact over that without a wait", max(ratios), most=MOST, why="\n".join(wrong))
 
 
-def test_pressing_with_a_sensor_that_reads_nothing(tmp_path, record_property):
+def test_pressing_with_a_sensor_that_reads_nothing(tmp_path, tell):
     """For half a second it reads nothing, however it presses: no more than the proportional part comes of it."""
     rig = Rig(tmp_path, 0)
     rig.impact(700)
     before, most = rig.integral, -rig.values["force"] * (1.0 + rig.values["kp"])
     peak = max(rig.step(deaf=True) for _ in range(500))
-    record_property("peak over the command", peak / (most + before))
-    assert peak <= 1.1 * (most + before)  # a step of the command, and what rings after it
+    tell("peak over the command", peak / (most + before), most=1.1)  # a step of the command, and what rings after it
     assert rig.integral <= before - 0.01 * rig.values["ki"] * rig.values["force"]  # 0.01 s: until its filter says so
     assert rig.impact(300) <= MOST * peak
 
 
 @pytest.mark.skipif(not LARGE, reason="half a minute: WBC_CAMPAIGN=large")
-def test_ten_seconds_through_the_air(tmp_path, record_property):
+def test_ten_seconds_through_the_air(tmp_path, tell):
     at_once = Rig(tmp_path, 0).impact(700)
     rig = Rig(tmp_path, 0, height=0.2)
     waited = rig.impact(12000)
-    record_property("ratio of impacts", waited / at_once)
-    assert waited <= MOST * at_once
+    tell("impact over that without a wait", waited / at_once, most=MOST)
 
 
 def test_without_the_cure_it_strikes(tmp_path, monkeypatch):

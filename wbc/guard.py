@@ -39,14 +39,14 @@ SILENT_TICKS = 5  # without a reading, until that is told
 HELD_TICKS = 20  # with half the desired force, or without motion where nothing is read, until a contact is known
 LEAVES = 0.03  # [m/s] away from what it presses on: it has left, whatever is read
 STRAYS, STILL = 0.005, 0.002  # [m/s] either way, twice in a row, where no reading is believed; no motion
-FAR, FORGETS = 2.5e-3, 0.5  # [m] of motion that is forgotten in that time [s]: no held frame goes so far
+FAR, TIPS, FORGETS = 2.5e-3, 5e-3, 0.5  # [m], [rad] of motion that is forgotten in that time [s]: none held goes so far
 FORGIVES = 0.5  # [s] in which the model's error is followed
 STIFFNESS, DAMPING, MOST = 900.0, 60.0, 3.0  # [1/s^2], [1/s] of the hold; [m/s^2, rad/s^2] of each of its rows
 WAITS, RISES, FEELS = 0.1, 0.2, 0.3  # [s] until a lost contact is felt for, [s] until that is at its share
 BACK, BACK_TICKS = 0.2, 5  # of the desired force, in a row: it is there again
 LEAST = 0.5  # [N] of desired force: with less a contact does not press
 _NOTHING: Array = np.zeros(0)
-_NO_WRENCH = np.zeros(6)
+_NO_WRENCH, _UPRIGHT = np.zeros(6), np.zeros(3)
 
 
 class Grip(NamedTuple):
@@ -63,6 +63,7 @@ class Grip(NamedTuple):
     lost: int = -1  # ticks since the contact was lost; -1: it is not
     moved: Array = _NOTHING  # (k,) integral of A V since then
     back: int = 0  # ticks in a row with a force on what was lost
+    tipped: Array = _UPRIGHT  # (3,) [rad] about axes that are held, less what is forgotten
 
 
 class Pressed(NamedTuple):
@@ -133,30 +134,37 @@ def _tick(state: State, name: str, task: ForceTask, grip: Grip, lam: Array | Non
         return _hold_still(state, name, task, grip, at, F, desired)
     presses = known and at.wanted > LEAST
     strayed = (grip.strayed + at.speed * state.dt) * (1.0 - state.dt / FORGETS) if presses else 0.0
+    tipped = _UPRIGHT
+    if presses and k > 1:
+        tipped = (grip.tipped + state.dt * held.slip.dot(held.inverse[:, :3])) * (1.0 - state.dt / FORGETS)
+        if tipped.dot(tipped) > TIPS * TIPS:
+            return _leave(state, name, grip, held, "it tips over")
     if F is None:
         silent = grip.silent + 1 if grip.silent >= 0 else -1
         said = "no reading" if silent > SILENT_TICKS and task.listens else ""
-        grip = Grip(grip.held, grip.offset, strayed, silent, 0, grip.loose, grip.calm, grip.turned)
+        grip = Grip(grip.held, grip.offset, strayed, silent, 0, grip.loose, grip.calm, grip.turned, tipped=tipped)
         return _by_motion(state, name, grip, held, at, said)
     if grip.calm >= 0:
-        return _not_believed(state, name, grip._replace(strayed=strayed, silent=0), held, at)
+        return _not_believed(state, name, grip._replace(strayed=strayed, silent=0, tipped=tipped), held, at)
     loose = presses and TURNED * at.wanted < at.had < LOOSE * at.wanted
     if loose or (task.listens and _odd(known, at)):  # what nobody goes by need not be right
-        return _doubted(state, name, grip, held, at, strayed, loose)
+        return _doubted(state, name, grip._replace(tipped=tipped), held, at, strayed, loose)
     if presses and (strayed < -FAR or at.speed < -LEAVES):
-        return _lose(state, name, grip, held, "left: it moves away from what it presses on")
+        return _leave(state, name, grip, held, "it moves away from what it presses on")
     if known:
-        return Grip(grip.held, grown, strayed, 0), ""
+        return Grip(grip.held, grown, strayed, 0, tipped=tipped), ""
     return (Grip(grip.held + 1, grown, 0.0, 0) if at.had >= 0.5 * at.wanted else Grip(silent=0)), ""
 
 
 def _odd(known: bool, at: Pressed) -> bool:
     """Whether a reading is no continuation of what was. Before a contact is known only the opposite of what must be
-    read is: landings are rough."""
+    read is, landings are rough; and so much less than what a frame that stands presses with."""
     gate = _gate(at.wanted)
     if known:
         return at.surprise > gate
-    return at.had * at.asked < 0.0 and at.surprise > gate + 0.4 * at.wanted
+    opposite = at.had * at.asked < 0.0 and at.surprise > gate + 0.4 * at.wanted
+    short = at.had >= LOOSE * at.wanted and at.asked - at.had > at.wanted + gate and abs(at.speed) < STRAYS
+    return opposite or short
 
 
 def _gate(wanted: float) -> float:
@@ -171,7 +179,8 @@ def _doubted(
     if count >= LOOSE_TICKS:
         return _lose(state, name, grip, held, f"lost: less than {LOOSE:.0%} of its force for {LOOSE_TICKS} ticks")
     turned = abs(at.had + at.asked) < -TURNED * max(at.wanted, at.asked)
-    grip = Grip(grip.held, grip.offset, strayed, 0, odd, count, 0 if odd >= ODD_TICKS else -1, turned)
+    calm = 0 if odd >= ODD_TICKS else -1
+    grip = Grip(grip.held, grip.offset, strayed, 0, odd, count, calm, turned, tipped=grip.tipped)
     if odd >= ODD_TICKS:
         return _not_believed(state, name, grip, held, at)
     last = state.loops[name].filtered
@@ -184,12 +193,12 @@ def _doubted(
 
 def _not_believed(state: State, name: str, grip: Grip, held: Held, at: Pressed) -> tuple[Grip, str]:
     """A tick whose sensor is wrong, until it agrees for long enough."""
-    known = grip.held >= HELD_TICKS
-    agrees = at.surprise < 0.5 * _gate(at.wanted) if known else not _odd(known, at)
-    calm = grip.calm + 1 if agrees else 0
+    calm = grip.calm + 1 if at.surprise < 0.5 * _gate(at.wanted) else 0
     if calm >= CALM_TICKS:
-        return Grip(grip.held, grip.offset, grip.strayed, 0), ""
+        return Grip(grip.held, grip.offset, grip.strayed, 0, tipped=grip.tipped), ""
     del state.measured[name]
+    if grip.held < HELD_TICKS:  # nothing of what a sensor made that was never right
+        state.loops[name] = state.loops[name]._replace(integral=_NOTHING)
     what = "reads the opposite of" if grip.turned else f"is {at.surprise:.3g} N off"
     said = f"its sensor {what} what the torque presses with, and is not believed"
     return _by_motion(state, name, grip._replace(calm=calm), held, at, said)
@@ -206,6 +215,13 @@ def _by_motion(state: State, name: str, grip: Grip, held: Held, at: Pressed, sai
     if loose >= 2 or abs(grip.strayed) > FAR:
         return _lose(state, name, grip, held, "lost: it moves as no held frame does, and no force is known")
     return grip._replace(loose=loose), said
+
+
+def _leave(state: State, name: str, grip: Grip, held: Held, why: str) -> tuple[Grip, str]:
+    """Lost by its motion, whatever is read: that is no contact's, nor what was learnt of it."""
+    if grip.calm < 0:
+        grip = grip._replace(calm=0, offset=_NOTHING)
+    return _lose(state, name, grip, held, f"left: {why}")
 
 
 def _lose(state: State, name: str, grip: Grip, held: Held, why: str) -> tuple[Grip, str]:
@@ -225,7 +241,11 @@ def _hold_still(
         lam = held.inverse.dot(F)
         state.loops[name] = task.begin(state, lam - grip.offset if grip.offset.size == lam.size else lam)
         return Grip(silent=0), "pressed on again"
-    grip = grip._replace(lost=grip.lost + 1, moved=grip.moved + state.dt * held.slip, back=back)
+    calm = grip.calm
+    if calm >= 0:  # a sensor that reads nothing where nothing is pressed on is right again
+        calm = calm + 1 if F is not None and abs(at.had) < max(LOOSE * at.wanted, LEAST) else 0
+    calm = -1 if calm >= CALM_TICKS else calm
+    grip = grip._replace(lost=grip.lost + 1, moved=grip.moved + state.dt * held.slip, back=back, calm=calm)
     _release(state, name, grip, held)
     return grip, "lost, and held where it is until it is pressed on again"
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 STOP = "stop"  # where a phase may lead to instead of another phase: the safe hold
 LOST_SHARE = 0.1  # of the desired force: with less a contact is lost,
 LOST_TICKS = 5  # when it carried more before and this many ticks in a row confirm it
+PULLS = -0.3  # of the desired force: what reads less tells of its sensor, not of the contact
 _ROUNDING = 1e-9  # [s]
 
 Reading = Callable[[Any], float]  # of a State; not a number where nothing is measured, and no bound holds
@@ -92,7 +93,7 @@ class Exit:
     def _loose(self, before: Sequence[int], state: Any) -> tuple[int, ...]:
         known = before or (-1,) * len(self.pressing)
         return tuple(
-            0 if share >= LOST_SHARE else count + 1 if count >= 0 and share < LOST_SHARE else count
+            0 if share >= LOST_SHARE else count + 1 if count >= 0 and PULLS < share < LOST_SHARE else count
             for count, share in ((n, read(state)) for n, (_, read) in zip(known, self.pressing, strict=True))
         )
 

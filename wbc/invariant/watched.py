@@ -240,6 +240,8 @@ class Watched:
             was, now = before.loops.get(name), state.loops.get(name)
             if name in before.grips and before.grips[name].lost >= 0 > after.grips[name].lost:
                 continue  # pressed on again: it begins with what presses
+            if name in after.grips and after.grips[name].calm >= 0 and not loop.integral.any():
+                continue  # nothing is kept of what a wrong sensor made
             if was is not None and now is not None and was.integral.shape == loop.integral.shape == now.error.shape:
                 grown = np.abs(loop.integral - was.integral) - 2.0 * dt * np.abs(now.error) * (1.0 + 1e-9)
                 rounding = 1e-12 * (1.0 + np.abs(loop.integral).max(initial=0.0))
