@@ -67,14 +67,15 @@ class Grip(NamedTuple):
 
 
 class Pressed(NamedTuple):
-    """A tick, along the desired force: forces measured, foretold and desired [N], the frame's speed [m/s], and how far
-    [N] the whole measured force is off what was foretold."""
+    """A tick, along the desired force: forces measured, foretold and desired [N], the frame's speed [m/s]; how far [N]
+    the whole measured force is off what was foretold, and the frame has tipped over [rad]."""
 
     had: float
     asked: float
     wanted: float
     speed: float
     surprise: float
+    tilt: float
 
 
 class Guarded(NamedTuple):
@@ -126,19 +127,22 @@ def _tick(state: State, name: str, task: ForceTask, grip: Grip, lam: Array | Non
         return grip, ""
     known = grip.held >= HELD_TICKS
     offset = grip.offset if grip.offset.size == k else np.zeros(k)
-    alpha = state.dt / FORGIVES if known else 1.0 / (grip.held + 1.0)
-    grown = np.empty(k)
-    read = _NO_WRENCH if F is None else F
-    at = Pressed._make(kernels.press(read, held.inverse, held.A, lam, offset, desired, held.slip, alpha, grown))
+    dt = state.dt
+    alpha, fade = dt / FORGIVES if known else 1.0 / (grip.held + 1.0), 1.0 - dt / FORGETS
+    read, grown, tipped = _NO_WRENCH if F is None else F, np.empty(k), np.empty(3)
+    at = Pressed._make(
+        kernels.press(
+            read, held.inverse, held.A, lam, offset, desired, held.slip, alpha, grip.tipped, dt, fade, grown, tipped
+        )
+    )
     if grip.lost >= 0:
         return _hold_still(state, name, task, grip, at, F, desired)
     presses = known and at.wanted > LEAST
-    strayed = (grip.strayed + at.speed * state.dt) * (1.0 - state.dt / FORGETS) if presses else 0.0
-    tipped = _UPRIGHT
-    if presses and k > 1:
-        tipped = (grip.tipped + state.dt * held.slip.dot(held.inverse[:, :3])) * (1.0 - state.dt / FORGETS)
-        if tipped.dot(tipped) > TIPS * TIPS:
-            return _leave(state, name, grip, held, "it tips over")
+    strayed = fade * (grip.strayed + at.speed * dt) if presses else 0.0
+    if not presses:
+        tipped = _UPRIGHT
+    elif at.tilt > TIPS:
+        return _leave(state, name, grip, held, "it tips over")
     if F is None:
         silent = grip.silent + 1 if grip.silent >= 0 else -1
         said = "no reading" if silent > SILENT_TICKS and task.listens else ""

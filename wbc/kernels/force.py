@@ -81,16 +81,17 @@ def advance(
     return short <= 1e-14 * size
 
 
-@compiled(types.UniTuple(F, 5), v, m, m, v, v, v, v, F, V)  # type: ignore[no-untyped-call]
+@compiled(types.UniTuple(F, 6), v, m, m, v, v, v, v, F, v, F, F, V, V)  # type: ignore[no-untyped-call]
 def press(
     measured: Array, inverse: Array, A: Array, lam: Array, offset: Array, desired: Array, slip: Array, alpha: float,
-    grown: Array,
-) -> tuple[float, float, float, float, float]:  # fmt: skip
-    """How a reading fits to what was pressed with: measured, asked and wanted force, speed, surprise.
+    tipped: Array, dt: float, fade: float, grown: Array, tips: Array,
+) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+    """How a reading fits to what was pressed with: measured, asked and wanted force, speed, surprise, tilt.
 
     Along the force of A' desired [N]: the measured force, that of the last multipliers `lam`, the desired one, and the
     speed [m/s] of the frame; then |f| [N] of A' (lambda_m - lam - offset), lambda_m = (A')^+ F. `grown` = offset +
-    alpha (lambda_m - lam - offset).
+    alpha (lambda_m - lam - offset). `tips` (3,) = fade (tipped + dt w), w the turning [rad/s] of A^+ slip; the tilt is
+    its length.
     """
     k = lam.size
     had, asked, wanted, odd = 0.0, 0.0, 0.0, 0.0
@@ -117,6 +118,13 @@ def press(
     power = 0.0
     for i in range(k):
         power += desired[i] * slip[i]
+    tilt = 0.0
+    for j in range(3):
+        w = 0.0
+        for i in range(k):
+            w += slip[i] * inverse[i, j]
+        tips[j] = fade * (tipped[j] + dt * w)
+        tilt += tips[j] * tips[j]
     if size > 0.0:
-        return had / size, asked / size, size, power / size, math.sqrt(odd)
-    return 0.0, 0.0, 0.0, 0.0, math.sqrt(odd)
+        return had / size, asked / size, size, power / size, math.sqrt(odd), math.sqrt(tilt)
+    return 0.0, 0.0, 0.0, 0.0, math.sqrt(odd), math.sqrt(tilt)
