@@ -55,6 +55,7 @@ class Grip(NamedTuple):
     held: int = 0  # ticks that show a contact, up to HELD_TICKS
     offset: Array = _NOTHING  # (k,) multipliers measured less those asked for, as they have been
     strayed: float = 0.0  # [m] along the desired force, less what is forgotten
+    tipped: Array = _UPRIGHT  # (3,) [rad] about axes that are held, less what is forgotten
     silent: int = -1  # ticks in a row without a reading, after one; -1: there was none yet
     odd: int = 0  # ticks in a row
     loose: int = 0  # ticks in a row
@@ -63,7 +64,6 @@ class Grip(NamedTuple):
     lost: int = -1  # ticks since the contact was lost; -1: it is not
     moved: Array = _NOTHING  # (k,) integral of A V since then
     back: int = 0  # ticks in a row with a force on what was lost
-    tipped: Array = _UPRIGHT  # (3,) [rad] about axes that are held, less what is forgotten
 
 
 class Pressed(NamedTuple):
@@ -146,7 +146,7 @@ def _tick(state: State, name: str, task: ForceTask, grip: Grip, lam: Array | Non
     if F is None:
         silent = grip.silent + 1 if grip.silent >= 0 else -1
         said = "no reading" if silent > SILENT_TICKS and task.listens else ""
-        grip = Grip(grip.held, grip.offset, strayed, silent, 0, grip.loose, grip.calm, grip.turned, tipped=tipped)
+        grip = Grip(grip.held, grip.offset, strayed, tipped, silent, 0, grip.loose, grip.calm, grip.turned)
         return _by_motion(state, name, grip, held, at, said)
     if grip.calm >= 0:
         return _not_believed(state, name, grip._replace(strayed=strayed, silent=0, tipped=tipped), held, at)
@@ -156,8 +156,8 @@ def _tick(state: State, name: str, task: ForceTask, grip: Grip, lam: Array | Non
     if presses and (strayed < -FAR or at.speed < -LEAVES):
         return _leave(state, name, grip, held, "it moves away from what it presses on")
     if known:
-        return Grip(grip.held, grown, strayed, 0, tipped=tipped), ""
-    return (Grip(grip.held + 1, grown, 0.0, 0) if at.had >= 0.5 * at.wanted else Grip(silent=0)), ""
+        return Grip(grip.held, grown, strayed, tipped, 0), ""
+    return (Grip(grip.held + 1, grown, silent=0) if at.had >= 0.5 * at.wanted else Grip(silent=0)), ""
 
 
 def _odd(known: bool, at: Pressed) -> bool:
@@ -184,7 +184,7 @@ def _doubted(
         return _lose(state, name, grip, held, f"lost: less than {LOOSE:.0%} of its force for {LOOSE_TICKS} ticks")
     turned = abs(at.had + at.asked) < -TURNED * max(at.wanted, at.asked)
     calm = 0 if odd >= ODD_TICKS else -1
-    grip = Grip(grip.held, grip.offset, strayed, 0, odd, count, calm, turned, tipped=grip.tipped)
+    grip = Grip(grip.held, grip.offset, strayed, grip.tipped, 0, odd, count, calm, turned)
     if odd >= ODD_TICKS:
         return _not_believed(state, name, grip, held, at)
     last = state.loops[name].filtered
@@ -199,7 +199,7 @@ def _not_believed(state: State, name: str, grip: Grip, held: Held, at: Pressed) 
     """A tick whose sensor is wrong, until it agrees for long enough."""
     calm = grip.calm + 1 if at.surprise < 0.5 * _gate(at.wanted) else 0
     if calm >= CALM_TICKS:
-        return Grip(grip.held, grip.offset, grip.strayed, 0, tipped=grip.tipped), ""
+        return Grip(grip.held, grip.offset, grip.strayed, grip.tipped, 0), ""
     del state.measured[name]
     if grip.held < HELD_TICKS:  # nothing of what a sensor made that was never right
         state.loops[name] = state.loops[name]._replace(integral=_NOTHING)

@@ -9,14 +9,14 @@ import numpy as np
 
 from .qp import Array
 
-_FLOAT64 = np.dtype(np.float64)
+_ARRAY, _FLOAT64 = np.ndarray, np.dtype(np.float64)
 UNIT = 1e-3  # a quaternion's norm may be off by this; more is no rounding (1 % is 2.5 N m of a humanoid's gravity)
 _ROUNDING = 1e-12
 
 
 def array_fault(name: str, value: Any, size: int) -> str:
     """Expected is a finite float64 array of shape (size,), in one piece and writeable, as compiled code takes it."""
-    sound = type(value) is np.ndarray and (value.dtype is _FLOAT64 or value.dtype == _FLOAT64)  # of a pickle, not `is`
+    sound = type(value) is _ARRAY and (value.dtype is _FLOAT64 or value.dtype == _FLOAT64)  # of a pickle, not `is`
     if not sound or value.shape != (size,):
         got = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
         return f"{name}: expected a float64 array of shape ({size},), got {got}"
