@@ -224,6 +224,7 @@ HELP_SECONDS = 0.5
 CORNERS = 4
 WRONG_MU = {"board.fz.rms_error": 0.1, "draw.position.rms_error": 1e-3}
 UNCOMPENSATED = 4e-3  # [m] at least
+TIPPED = 0.3  # [deg] at least
 
 # polish_sphere: Lam Adot V of the book's law against the force, its prediction, and what compensation leaves
 SPHERE_BIAS, SPHERE_PREDICTED, SPHERE_COMPENSATED = 0.10, 0.01, 1e-3

@@ -65,7 +65,7 @@ BUGS = (
     # the answer
     bug("a refused x is read", STEP, "if not solution.accepted:\n            reason",
         "if not solution.x.size:\n            reason", "certificate finite"),
-    bug("the solver is taken at its word", "solver:_attempt",
+    bug("the solver is taken at its word", "solver:_certified",
         "if primal <= tolerance.primal and dual <= tolerance.dual and gap <= tolerance.gap:",
         "if x.shape == problem.g.shape:", "certificate finite raises swallowed"),
     bug("the certificate has no gap", "kernels.program:residuals", "return math.sqrt(primal), math.sqrt(dual), gap",

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from unruly import Killed, Never
 
 import wbc
 from tests.bars import TAU_ERROR
-from tests.unruly import Killed, Never
 from wbc.build import build
 from wbc.compare import compare, record, table
 from wbc.errors import ProblemError, SolverError
@@ -320,7 +320,7 @@ SCRIPT = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
 from wbc.compare import compare, corpus
-from tests.unruly import Loud, Never
+from unruly import Loud, Never
 compare(corpus.load()[:5], {"daqp": "daqp", "loud": Loud(), "never": Never(file=sys.argv[1])}, timeout=60.0)
 """
 
@@ -329,7 +329,8 @@ compare(corpus.load()[:5], {"daqp": "daqp", "loud": Loud(), "never": Never(file=
 def test_who_ends_a_comparison_ends_all_of_it(tmp_path, how):
     """Also when nothing could be tidied up any more. What solvers print goes to stderr."""
     file = tmp_path / "pid"
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+    tests = Path(__file__).parent
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (tests, tests.parent)))}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     running = subprocess.Popen([sys.executable, "-c", SCRIPT, str(file)], **pipes, env=env, text=True)
     end = time.monotonic() + 100.0
