@@ -121,7 +121,7 @@ def gripped(grips: Mapping[str, Grip], force: Mapping[str, object], contacts: Ma
 
 def _tick(state: State, name: str, task: ForceTask, grip: Grip, lam: Array | None) -> tuple[Grip, str]:
     held: Held = state.contacts[name]
-    F, desired = state.measured.get(name), task.desired(state)
+    F, desired = state.measured.get(name), state.followed[name]
     k = desired.size
     if lam is None or lam.size != k:  # nothing has been foretold yet
         return grip, ""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .kernels import square
 from .qp import Array
 
 _ARRAY, _FLOAT64 = np.ndarray, np.dtype(np.float64)
@@ -16,17 +17,17 @@ _ROUNDING = 1e-12
 
 def array_fault(name: str, value: Any, size: int) -> str:
     """Expected is a finite float64 array of shape (size,), in one piece and writeable, as compiled code takes it."""
-    sound = type(value) is _ARRAY and (value.dtype is _FLOAT64 or value.dtype == _FLOAT64)  # of a pickle, not `is`
-    if not sound or value.shape != (size,):
+    if type(value) is _ARRAY and value.dtype is _FLOAT64 and value.shape == (size,) and value.flags.carray:
+        if math.isfinite(square(value)):
+            return ""
+        return f"{name}: expected finite numbers, got {value}"
+    if type(value) is not _ARRAY or value.dtype != _FLOAT64 or value.shape != (size,):
         got = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
         return f"{name}: expected a float64 array of shape ({size},), got {got}"
     if not value.flags.carray:
         got = f"one with strides {value.strides}" if value.flags.writeable else "a read-only one"
         return f"{name}: expected a contiguous, writeable array, got {got}; give a copy"
-    # a sum of squares is finite only where every entry is
-    if not math.isfinite(value.dot(value)):
-        return f"{name}: expected finite numbers, got {value}"
-    return ""
+    return array_fault(name, value.view(_FLOAT64), size)  # a dtype object of its own, as a pickle has
 
 
 def time_fault(t: Any) -> str:
@@ -44,10 +45,10 @@ def unit(q: Array, parts: tuple[slice, ...]) -> tuple[Array, str]:
     The same array where nothing is to be done.
     """
     for part in parts:
-        square = float(q[part].dot(q[part]))
-        if abs(square - 1.0) <= _ROUNDING:
+        size = square(q[part])
+        if abs(size - 1.0) <= _ROUNDING:
             continue
-        norm = math.sqrt(square)
+        norm = math.sqrt(size)
         if not abs(norm - 1.0) <= UNIT:
             what = "quaternion" if part.stop - part.start == 4 else "vector"
             return q, f"q[{part.start}:{part.stop}]: expected a unit {what} within {UNIT:g}, got norm {norm:.6g}"

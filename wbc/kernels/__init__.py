@@ -10,7 +10,7 @@ from .jump import approach, jumped
 from .limit import braking_bounds, torque_window
 from .motion import carried_along, computed_torque, frames, log, point_target, pose_errors, relative, shift
 from .null_space import least_squares, root
-from .program import active, add_rows, add_square, equations, residuals, torque, total
+from .program import active, add_rows, add_square, equations, residuals, square, torque, total
 from .singular import far, singular
 from .touch import angle, slip, touch
 
@@ -55,6 +55,7 @@ __all__ = [
     "singular",
     "slip",
     "spring",
+    "square",
     "torque",
     "torque_window",
     "total",

@@ -110,6 +110,15 @@ def active(z: Array, first: int, last: int, least: float) -> bool:
 
 
 @compiled(F, v)
+def square(values: Array) -> float:
+    """The sum of squares: a number only where all of them are."""
+    s = 0.0
+    for i in range(values.size):
+        s += values[i] * values[i]
+    return s
+
+
+@compiled(F, v)
 def total(values: Array) -> float:
     """The sum: a number only where all of them are."""
     s, t, u, w = 0.0, 0.0, 0.0, 0.0  # four at a time: each waits for its own last sum alone
