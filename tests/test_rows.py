@@ -52,6 +52,17 @@ def test_a_missing_row_fails_the_run_that_asks_for_all(asked, told, expected):
     assert session.exitstatus == expected
 
 
+@pytest.mark.parametrize(("asked", "told", "printed"), [("row", [], True), ("", list(ROWS), True), ("", [9], False)])
+def test_the_table_is_printed_where_it_is_asked_for_or_full(asked, told, printed):
+    rows, lines = Rows(), []
+    for row in told:
+        rows.pytest_runtest_logreport(report(row))
+    reporter = SimpleNamespace(section=lines.append, write_line=lambda line, **colour: lines.append(line))
+    config = SimpleNamespace(option=SimpleNamespace(markexpr=asked, collectonly=False))
+    rows.pytest_terminal_summary(reporter, config)
+    assert len(lines) == (1 + 2 * len(ROWS) if printed else 0)
+
+
 def test_a_number_is_told_with_its_bound_and_held_to_it():
     rows = Rows()
     for value in (3e-4, 1e-4):
