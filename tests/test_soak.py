@@ -26,6 +26,7 @@ def test_what_leaks_is_seen(monkeypatch):
     """The verdict on runs that grow, and on runs that part."""
     us = {"p50": 1.0, "p99": 1.0, "p99.9": 1.0}
     run = {"memory": [100.0] * 9 + [102.0], "digest": "a", "us": [us] * 10, "wall_us": us, "status": {"OK": 1}}
+    run["floor_us"] = [1.0] * 10
 
     class Pool:
         def __init__(self, *args, **kwargs):
