@@ -346,7 +346,7 @@ def test_the_drag_follows_what_moves_the_contact_in_its_phase(tmp_path):
     phases = "phases:\n  write: {until: {time: 1}}\n  rest: {tasks: [press, posture]}\nlimits:"
     (tmp_path / "phases.yaml").write_text(text.replace("limits:", phases))
     write, rest = build(load(tmp_path / "phases.yaml")).phases
-    assert write.contacts["board"].pushes.guide == write.tasks["draw"].desired
+    assert write.contacts["board"].pushes.guide == write.tasks["draw"].followed
     assert rest.contacts["board"].pushes.guide is None
 
 

@@ -203,7 +203,7 @@ def test_one_wrench_on_one_link_counts_once(panda, draw, rng, tasks, feedforward
     if len(tasks) == 1:  # and it has the mass that was asked for
         (task,) = made.values()
         frame, S = state.frame(task.frame), board.free(state) if task.contact else task.selection(state)
-        X_e, V_e, _ = task.errors(frame.T, frame.V, task.desired(state))
+        X_e, V_e, _ = task.errors(frame.T, frame.V, task.followed(state))
         f_ext = -S @ Wrench(F, "eraser").at(state, task.frame)
         asked = (40.0 * S @ V_e + 200.0 * S @ X_e + f_ext) / 2.0
         np.testing.assert_allclose(S @ (frame.J @ vdot + frame.drift), asked, rtol=1e-7)

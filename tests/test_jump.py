@@ -23,8 +23,9 @@ from wbc.spec.placed import Jump
 from wbc.spec.task import ForceTask as ForceEntry
 from wbc.tape import CODEC
 from wbc.task.centroidal import com
+from wbc.task.following import SPEEDS
 from wbc.task.force import RATE, ForceTask
-from wbc.task.motion import SPEEDS, MotionTask
+from wbc.task.motion import MotionTask
 from wbc.task.posture import PostureTask
 
 pytestmark = pytest.mark.row(13)
@@ -385,9 +386,9 @@ def test_a_centre_of_mass_of_go2_that_is_to_be_half_a_metre_away(guarded, tell):
 
     def change(built):
         task = built.phases[0].tasks["balance"]
-        path, there = task.path, pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0]))
+        path, there = task.reference, pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0]))
         far = lambda t: Sample(there * path(t).T, path(t).motion)  # noqa: E731
-        task.path = lambda t: far(t) if 0.2 <= t < 0.6 else path(t)
+        task.reference = lambda t: far(t) if 0.2 <= t < 0.6 else path(t)
         if not guarded:
             task.jump = None
             built.phases[0].__dict__.pop("following", None)

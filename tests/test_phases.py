@@ -270,6 +270,20 @@ class TestNothingJumps:
         assert forces[-1] == pytest.approx(-10.0, abs=1e-3)
         assert np.diff(forces).max() < 1e-3  # no overshoot on the way
 
+    def test_what_the_driver_sent_counts_in_the_limits_of_the_phase_that_answers(self):
+        """Also at the tick at which motors get their torque back: 30 % of it sent, 26 % allowed until then."""
+        made = build(load("eraser_weak", ["phases.full.until.time=0.005", "phases.weak.until.time=0.005"])).controller
+        full, weak, recovered = (phase.torque for phase in made.phases)
+        sent = made.robot.state(made.start, np.zeros(7)).gravity()
+        sent[1] = 0.3 * full.low[1]
+        made.reset(made.start, np.zeros(7))
+        for i in range(15):
+            out = made.step(0.001 * i, made.start, np.zeros(7), tau_applied=sent)
+            limits = (full, weak, recovered)[made.memory.phase]
+            assert np.abs(out.tau - limits.inside(sent)).max() <= 1.0 + 1e-9
+        assert made.memory.phase == 2
+        assert weak.inside(sent)[1] - sent[1] > 2.0
+
     def test_references_start_where_the_robot_is(self, touch):
         result, _ = touch()
         log = result.log

@@ -1,6 +1,7 @@
 """Singularities are crossed with bounded acceleration, damped and by name; away from them nothing changes (row 12)."""
 
 import os
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +60,27 @@ def test_the_kernel_finds_singular_values_within_contacts(rng):
         N = np.eye(n) - np.linalg.pinv(G[:k], rcond=1e-9) @ G[:k] if k else np.eye(n)
         np.testing.assert_allclose(np.linalg.norm(U.T @ G[k:] @ N, axis=1), values, atol=1e-7)
     assert found > 300
+
+
+def test_several_tasks_are_told_as_each_alone(rng):
+    """Of tasks one below the other, whatever the others are: also the same as another one, and nearly lost."""
+    told = Counter()
+    for _ in range(400):
+        n, k = 12, int(rng.integers(0, 5))
+        sizes = rng.integers(1, 5, int(rng.integers(1, 4)))
+        G = rng.normal(size=(k + sizes.sum(), n))
+        G[-1] *= 10.0 ** -rng.uniform(0.0, 3.0)
+        if len(sizes) > 1 and rng.random() < 0.3:
+            G[k + sizes[0]] = G[k]
+        least = rng.choice([0.0, 0.03, 0.3], sizes.size)
+        ends = k + np.cumsum(sizes)
+        alone = all(
+            least[i] == 0.0 or kernels.far(np.concatenate((G[:k], G[end - m : end])), k, least[i])
+            for i, (m, end) in enumerate(zip(sizes, ends, strict=True))
+        )
+        told[alone] += 1
+        assert kernels.all_far(G, k, sizes, least) == alone
+    assert min(told.values()) > 50
 
 
 def stretched(robot, frame, rng, spread):

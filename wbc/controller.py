@@ -256,7 +256,6 @@ class Controller:
                 refused.append(fault)
             else:
                 tau_last = tau_applied + memory.gravity if self.robot.gravity == "robot" else tau_applied
-                tau_last = program.phase.torque.inside(tau_last)
         change = None
         if program.phase.exit is not None:
             if program.phase.tanks:
@@ -278,7 +277,8 @@ class Controller:
         else:
             memory = self._enter(state, memory, change, t, tau_last)
             program = self._programs[memory.phase]
-            tau_last = program.phase.torque.inside(tau_last)
+        if change is not None or tau_applied is not None:
+            tau_last = program.phase.torque.inside(tau_last)  # of the phase that answers
         if change is not None:
             self.recalled = memory
             followed, starts = self._led(state, program, memory, t)

@@ -92,10 +92,10 @@ def _com_taken_up(task: ComTask, state: State) -> Start:
     c, J, _ = com(state)
     T, V = pin.SE3(np.eye(3), c.copy()), np.concatenate((np.zeros(3), J.dot(state.v)))
     if not task.over:
-        return take_up(task.path, state.t, T, V)
-    away = middle(state, task.over) - task.path(0.0).T.translation
+        return take_up(task.reference, state.t, T, V)
+    away = middle(state, task.over) - task.reference(0.0).T.translation
     away[2] = 0.0
-    return take_up(task.path, state.t, T, V, Start(shift=_unless_nothing(pin.SE3(np.eye(3), away))))
+    return take_up(task.reference, state.t, T, V, Start(shift=_unless_nothing(pin.SE3(np.eye(3), away))))
 
 
 def _placed(reference: Reference, T: pin.SE3) -> Start:
@@ -170,14 +170,12 @@ def _goes_on(old: Task | None, task: Task, contacts: Mapping[str, object]) -> bo
         return False
     if isinstance(task, ForceTask):
         return task.contact in contacts and getattr(old, "contact", None) == task.contact
-    if isinstance(task, ComTask):
-        return getattr(old, "path", None) is task.path and getattr(old, "over", None) == task.over
     if isinstance(task, DistributionTask):
         return False  # the contacts may be others
-    reference = getattr(task, "reference", None)
-    return reference is None or (
-        getattr(old, "reference", None) is reference and getattr(old, "frame", "") == getattr(task, "frame", "")
-    )
+    if (reference := getattr(task, "reference", None)) is None:
+        return True
+    place = all(getattr(old, key, None) == getattr(task, key, None) for key in ("frame", "over"))
+    return place and getattr(old, "reference", None) is reference
 
 
 def _resumed(loop: ForceLoop, old: ForceTask, task: ForceTask) -> ForceLoop:

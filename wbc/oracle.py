@@ -200,7 +200,7 @@ def _compliance(
     d = dynamics(task.frame)
     S = task.selection(state) if task.contact is None else phase.contacts[task.contact].free(state)
     G = S @ d.J
-    X_e, V_e, ahead = (S @ part for part in _errors(task, d.T, d.V, task.desired(state)))
+    X_e, V_e, ahead = (S @ part for part in _errors(task, d.T, d.V, task.followed(state)))
     f_ext = np.zeros(len(S)) if felt.F is None else -np.linalg.pinv(S).T @ felt.F
     K, share = (task.wanted(state), 1.0) if felt.tank is None else (felt.tank.K, felt.tank.valve)
     if felt.tank is not None:
@@ -317,7 +317,7 @@ def _stacked(
 
 
 def _motion(task: MotionTask, state: State, d: Dynamics) -> Array:
-    desired = task.desired(state)
+    desired = task.followed(state)
     if task.split:
         X_e, V_e, ahead = _errors(task, d.T, d.V, desired)
         return ahead + task.Kp @ X_e + task.Kd @ V_e

@@ -139,7 +139,7 @@ def _of_tasks(row: Row, phase: Phase, state: State) -> None:
             target = row[f"{task.contact}.target"] = task.desired(state)
             row[f"{task.contact}.wanted"] = state.contacts[task.contact].A.T @ target
         elif isinstance(task, MotionTask):
-            frame, desired = task.seen(state), task.desired(state)
+            frame, desired = task.seen(state), task.followed(state)
             along = row[f"{name}.along"] = task.along(state)
             row[f"{name}.error"] = task.lift(state) @ along
             row[f"{name}.position"], row[f"{name}.desired"] = frame.p, desired.p
@@ -166,7 +166,7 @@ def _of_pushes(row: Row, controller: Controller, simulator: Simulator) -> None:
         row[f"{name}.true"] = simulator.true_push(name)
         row[f"{name}.mobility"] = unheld(state, state.frame(frame).J)
     for name, task in controller.phase.compliant.items():
-        (T, V), desired, S = simulator.true_motion(task.frame), task.desired(state), task.selection(state)
+        (T, V), desired, S = simulator.true_motion(task.frame), task.followed(state), task.selection(state)
         X_e, V_e, ahead = task.errors(T, V, desired)
         lift = task.lift(state)
         row |= {f"{name}.displacement": -S @ X_e, f"{name}.rate": -S @ V_e, f"{name}.mobility": task.mobility(state)}

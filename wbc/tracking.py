@@ -123,7 +123,7 @@ class Tracking:
             frame, self.references[name], kp, kd, axes, entry.contact, law, able, entry.error, *_follows(entry)
         )
         if entry.contact is not None and (pushes := self.contacts[entry.contact].pushes) is not None:
-            pushes.guide = task.desired
+            pushes.guide = task.followed
         return task
 
     def _place(self, entry: specs.MotionTask | specs.ImpedanceTask | specs.AdmittanceTask) -> tuple[str, Axes]:

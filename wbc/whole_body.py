@@ -12,7 +12,7 @@ start, and is told in `notes`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from . import kernels
 from .dynamics import inertia, inertia_within, mobility, torque_map
 from .errors import LawError
 from .handover import SHARING
+from .kernels.compiled import Counts
 from .phase import LAST, Phase, hold
 from .program import Cost, Program
 from .qp import Array, Rows
@@ -58,6 +59,9 @@ class WholeBodyProgram(Program):
         self._sharing = [(t, phase.weights[n], levels.get(n, 1)) for n, t in given] or [(DistributionTask(), 1.0, LAST)]
         forced = {task.contact for task in phase.tasks.values() if isinstance(task, ForceTask)}
         self._sharers = [name for name, contact in phase.contacts.items() if contact.k and name not in forced]
+        self._moving: list[tuple[str, int]] = []  # tasks that move joints, and how many rows they have
+        self._sizes: Counts = np.zeros(0, np.int64)
+        self._least: Array = np.zeros(0)  # their thresholds
         super().__init__(phase, start)
         # their rows stand first in the problem, and are read where they stand
         problem, n = self.strict.problem, self.strict.problem.g.size
@@ -127,8 +131,10 @@ class WholeBodyProgram(Program):
     def costs(self, state: State) -> list[Cost]:
         weights, levels = self.phase.weights, self.levels
         G, rhs = self._G, self._rhs
-        wanted = [(name, self._wanted(name, task, state)) for name, task in self._tasks.items()]
+        wanted = [(name, self._wanted(task, state)) for name, task in self._tasks.items()]
         stack = np.concatenate([G, *(A for _, rows in wanted if (A := rows.A.get("vdot")) is not None)])
+        if self._near(stack, wanted):
+            wanted = [(name, self._damped(name, rows, state)) for name, rows in wanted]
         lifted, K = np.empty((stack.shape[1], len(stack) if self.posture else 0)), np.empty(2 * stack.shape[:1])
         kernels.mobility(state.M, stack, lifted, K)
         k = start = len(G)
@@ -155,13 +161,24 @@ class WholeBodyProgram(Program):
             costs += [(_nothing(state, name), 1.0, LAST) for name in self._sharers if name not in standing]
         return costs
 
-    def _wanted(self, name: str, task: Task, state: State) -> Rows:
+    def _wanted(self, task: Task, state: State) -> Rows:
         """The task's own rows; a motion's without those of the contacts, which all tasks have in common."""
         if isinstance(task, MotionTask):
             G, b = task.target(state)
-            b = self._eased(state, name, G, b, whole=False)
             return Rows("", {"vdot": G}, b, b)
-        rows = task.rows(state)
+        return task.rows(state)
+
+    def _near(self, stack: Array, wanted: Sequence[tuple[str, Rows]]) -> bool:
+        """Whether a task may be near a singularity: of all of them in one elimination of the contacts' rows."""
+        if not self.phase.damped:
+            return False
+        moving = [(name, rows.lo.size) for name, rows in wanted if rows.A.get("vdot") is not None]
+        if self._moving != moving:
+            least = [self.thresholds[name].least if name in self.thresholds else 0.0 for name, _ in moving]
+            self._moving, self._sizes, self._least = moving, np.array([m for _, m in moving], np.int64), np.array(least)
+        return not kernels.all_far(stack, len(self._G), self._sizes, self._least)
+
+    def _damped(self, name: str, rows: Rows, state: State) -> Rows:
         b = self._eased(state, name, rows.A.get("vdot"), rows.lo, whole=False)
         return rows if b is rows.lo else rows._replace(lo=b, hi=b)
 

@@ -11,7 +11,7 @@ from .limit import braking_bounds, torque_window
 from .motion import carried_along, computed_torque, frames, log, point_target, pose_errors, relative, shift
 from .null_space import least_squares, root
 from .program import active, add_rows, add_square, equations, residuals, square, torque, total
-from .singular import far, singular
+from .singular import all_far, far, singular
 from .touch import angle, slip, touch
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "add_rows",
     "add_square",
     "advance",
+    "all_far",
     "angle",
     "approach",
     "braking_bounds",

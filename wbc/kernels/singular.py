@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .compiled import COUNT, NOTHING, TRUTH, Array, F, M, V, compiled, inner, m
+from .compiled import COUNT, COUNTS, NOTHING, TRUTH, Array, Counts, F, M, V, compiled, inner, m, v
 
 _DEPENDENT = 1e-10  # of a row's square: what is left of it then is rounding
 
@@ -109,6 +109,20 @@ def far(G: Array, first: int, least: float) -> bool:
     E = np.empty((r, r))
     _within(G, first, E)
     return _surely(E, least * least)
+
+
+@compiled(TRUTH, m, COUNT, COUNTS, v)
+def all_far(G: Array, first: int, sizes: Counts, leasts: Array) -> bool:
+    """The same of each of several tasks, of `sizes` rows one below the other, with a `least` of its own; 0: of none."""
+    r = G.shape[0] - first
+    E, start = np.empty((r, r)), 0
+    _within(G, first, E)
+    for size, least in zip(sizes, leasts):  # noqa: B905
+        stop = start + size
+        if least > 0.0 and not _surely(E[start:stop, start:stop], least * least):
+            return False
+        start = stop
+    return True
 
 
 @compiled(NOTHING, m, COUNT, V, M)

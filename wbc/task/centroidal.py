@@ -20,10 +20,10 @@ from ..dynamics import inertia
 from ..errors import GainError
 from ..frame import Frame
 from ..qp import Array, Rows
-from ..reference import Reference, Sample
+from ..reference import Reference
 from ..singular import LEAST
 from ..state import State
-from .motion import SPEEDS
+from .following import SPEEDS, Following
 from .posture import PostureTask
 
 _ORDER = [3, 4, 5, 0, 1, 2]
@@ -68,7 +68,7 @@ def middle(state: State, shares: Mapping[str, float]) -> Array:
     return np.asarray(sum(share * state.frame(frame).T.translation for frame, share in shares.items()))
 
 
-class ComTask:
+class ComTask(Following):
     """The centre of mass c on its path: cddot = cddot_d + kp (c_d - c) + kd (cdot_d - cdot) along the world's axes.
 
     Parameters: `path` (t -> Sample, whose origin is c_d in the world); `kp` [1/s^2], `kd` [1/s]: numbers, vectors over
@@ -86,8 +86,8 @@ class ComTask:
         singular: float = LEAST,
         jump: tuple[float, float] | None = SPEEDS,
     ) -> None:
-        self.path, self.over, self.singular, self.jump = path, dict(over or {}), singular, jump
-        self._told: tuple[State, Any, Sample] | None = None
+        super().__init__(path, singular, jump)
+        self.over = dict(over or {})
         self.Kp, self.Kd = gain_matrix(kp, 3, "kp"), gain_matrix(kd, 3, "kd")
         self._K = np.hstack((self.Kp, self.Kd))
 
@@ -96,19 +96,6 @@ class ComTask:
         sample = self.followed(state)
         R, (w, v), (_, vdot) = sample.T.rotation, sample.V.reshape(2, 3), sample.Vdot.reshape(2, 3)
         return sample.T.translation, R.dot(v), R.dot(vdot + pin.skew(w).dot(v))
-
-    @property
-    def reference(self) -> Reference:
-        """The path."""
-        return self.path
-
-    def followed(self, state: State) -> Sample:
-        """The path as it is followed at this tick."""
-        start = state.starts.get(self)
-        if self._told is None or self._told[0] is not state or self._told[1] is not start:
-            sample = self.path(state.t) if start is None else start.sample(self.path, state.t)
-            self._told = (state, start, sample)
-        return self._told[2]
 
     def target(self, state: State) -> tuple[Array, Array]:
         """The task's own rows G vdot = b: (3, nv) and (3,)."""

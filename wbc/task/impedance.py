@@ -29,7 +29,8 @@ from ..singular import LEAST
 from ..state import State
 from ..tank import Bounded, Tank
 from ..wrench import VELOCITY_AXES
-from .motion import SPEEDS, pose_errors
+from .following import SPEEDS, Following
+from .motion import pose_errors
 
 SOURCES = ("measured", "observer", "acceleration", "none")
 
@@ -49,7 +50,7 @@ class Felt(NamedTuple):
 NEW = Felt()
 
 
-class Compliance:
+class Compliance(Following):
     """What impedance and admittance share: where, along what, from which source the push is known.
 
     Parameters: `frame`; `reference` (t -> Sample); `M`, `B`, `K`: numbers, vectors over the axes, or matrices, all zero
@@ -79,9 +80,9 @@ class Compliance:
         K_scale: Scalar | None = None,
         tank: Bounded | None = None,
     ) -> None:
-        self.singular, self.jump, self.K_scale, self.tank = singular, jump, K_scale, tank
-        self._told: tuple[State, Any, Sample] | None = None
-        self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
+        super().__init__(reference, singular, jump)
+        self.K_scale, self.tank = K_scale, tank
+        self.frame, self.axes, self.contact = frame, axes, contact
         self.split, self.source, self.filter, self.observer = error == "split", source, filter, observer
         if source not in SOURCES or (source == "observer") != (observer is not None):
             raise GainError(f"external: expected one of {', '.join(SOURCES)}, the second with an observer")
@@ -95,16 +96,6 @@ class Compliance:
     def feels(self) -> bool:
         """Whether the task needs to know of the push."""
         return self.source != "none"
-
-    def desired(self, state: State) -> Sample:
-        """The reference as it is followed at this tick, led in from where the frame was when the task began."""
-        start = state.starts.get(self)
-        if self._told is None or self._told[0] is not state or self._told[1] is not start:
-            sample = self.reference(state.t) if start is None else start.sample(self.reference, state.t)
-            self._told = (state, start, sample)
-        return self._told[2]
-
-    followed = desired
 
     def selection(self, state: State) -> Array:
         """(s, 6) rows S that pick the axes of the task."""
@@ -146,7 +137,7 @@ class Compliance:
         if self.tank is None:
             return felt
         state.felt[self] = felt
-        S, frame, desired = self.selection(state), state.frame(self.frame), self.desired(state)
+        S, frame, desired = self.selection(state), state.frame(self.frame), self.followed(state)
         X_e, V_e, _ = self.errors(T, V, desired)
         rate = S.dot(V_e) if late else S.dot(self.errors(frame.T, frame.V, desired)[1])
         known = self.source in ("measured", "observer") and not self.massless and felt.F is not None
@@ -199,7 +190,7 @@ class ImpedanceTask(Compliance):
 
     def acceleration(self, state: State) -> Array:
         frame, S = state.frame(self.frame), self.selection(state)
-        X_e, V_e, ahead = self.errors(frame.T, frame.V, self.desired(state))
+        X_e, V_e, ahead = self.errors(frame.T, frame.V, self.followed(state))
         K, share, brake = self.passes(state)
         ahead, spring = S.dot(ahead), self.B.dot(S.dot(V_e)) + K.dot(S.dot(X_e))
         if brake:
@@ -243,7 +234,7 @@ class AdmittanceTask(Compliance):
             T, V = self._moved(state, last.T, last.motion)
         felt = self.fill(state, felt, last, T, V, late=self.printed)
         K, share, brake = self.passes(state)
-        X_e, V_e, ahead = self.errors(T, V, self.desired(state))
+        X_e, V_e, ahead = self.errors(T, V, self.followed(state))
         spring = self.B.dot(S.dot(V_e)) + K.dot(S.dot(X_e))
         along = S.dot(ahead) + self._inverse.dot(spring + share * self.push(state))
         if brake:

@@ -18,9 +18,9 @@ from ..reference import Reference, Sample
 from ..singular import LEAST
 from ..state import State
 from ..wrench import VELOCITY_AXES
+from .following import SPEEDS, Following
 
 _ORDER = np.array([3, 4, 5, 0, 1, 2])
-SPEEDS = (0.1, 0.5)  # [m/s], [rad/s] at which a reference that jumps is led in
 
 
 def computed_torque(frame: Frame, desired: Sample, K: Array) -> Array:
@@ -44,15 +44,14 @@ def pose_errors(T: pin.SE3, V: Array, desired: Sample, split: bool = False) -> t
     return X_e, V_e, ahead
 
 
-class MotionTask:
+class MotionTask(Following):
     """SE(3) motion of a frame by computed torque, on selected axes.
 
     Parameters: `frame`; `reference` (t -> Sample); `kp` [1/s^2], `kd` [1/s]: numbers, vectors over the axes or
     matrices; `axes`: names from wx ... vz, or with `contact` the free motion of that contact. `law="book"` tracks the
     raw y on all axes that the robot has, in the metric M_C, as the book prints it; otherwise y is only asked of the
     free axes, where the constraint says A y = -Adot V. `error`: "log", or "split" for straight lines (`pose_errors`).
-    `singular`: the singular value below which the task is damped (`wbc.singular`), 0 for none; `jump`: how fast a
-    reference that jumps is led in (`wbc.jump`), [m/s] and [rad/s], None: followed as it is.
+    `singular`, `jump`: as of `Following`.
     """
 
     def __init__(
@@ -69,13 +68,12 @@ class MotionTask:
         singular: float = LEAST,
         jump: tuple[float, float] | None = SPEEDS,
     ) -> None:
-        self.frame, self.reference, self.axes, self.contact = frame, reference, axes, contact
-        self.singular, self.jump = singular, jump
+        super().__init__(reference, singular, jump)
+        self.frame, self.axes, self.contact = frame, axes, contact
         self.split = error == "split"
         self.raw = law == "book" and contact is not None  # tracks the raw y of the book on all axes
         self._S = None if contact is not None else np.eye(6)[[VELOCITY_AXES.index(a) for a in axes]]
         self.robot_axes = list(robot_axes)
-        self._told: tuple[State, Any, Sample] | None = None  # at which state, since which start, what
         self.Kp, self.Kd = self._lift(kp, "kp"), self._lift(kd, "kd")
         self._K = np.hstack((self.Kp, self.Kd))
 
@@ -101,19 +99,9 @@ class MotionTask:
         held: Held | None = state.contacts.get(self.contact) if self.contact is not None else None
         return held.seen if held is not None and held.frame == self.frame else state.frame(self.frame)
 
-    def desired(self, state: State) -> Sample:
-        """The reference as it is followed at this tick: since the task began, led in from where the frame was then."""
-        start = state.starts.get(self)
-        if self._told is None or self._told[0] is not state or self._told[1] is not start:
-            sample = self.reference(state.t) if start is None else start.sample(self.reference, state.t)
-            self._told = (state, start, sample)
-        return self._told[2]
-
-    followed = desired
-
     def along(self, state: State) -> Array:
         """(s,) X_e, with [X_e] = log(T^-1 T_d), along the rows that pick the task's axes [rad, m]."""
-        X_e = pin.log6(self.seen(state).T.actInv(self.desired(state).T)).vector[_ORDER]
+        X_e = pin.log6(self.seen(state).T.actInv(self.followed(state).T)).vector[_ORDER]
         return np.asarray(self._select(state) @ X_e, float)
 
     def lift(self, state: State) -> Array:
@@ -130,7 +118,7 @@ class MotionTask:
 
     def acceleration(self, state: State) -> Array:
         """(6,) y in the axes of the frame [rad/s^2, m/s^2]."""
-        frame, desired = self.seen(state), self.desired(state)
+        frame, desired = self.seen(state), self.followed(state)
         if not self.split:
             return computed_torque(frame, desired, self._K)
         X_e, V_e, ahead = pose_errors(frame.T, frame.V, desired, split=True)

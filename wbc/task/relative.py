@@ -21,7 +21,8 @@ from ..reference import Reference
 from ..singular import LEAST
 from ..state import State
 from ..wrench import VELOCITY_AXES
-from .motion import SPEEDS, MotionTask
+from .following import SPEEDS
+from .motion import MotionTask
 
 NEAREST = 0.01  # [m] from which on a gaze no longer turns faster as its target comes nearer
 BEHIND = -0.999  # cosine of the angle up to which a gaze is exact: looking away it does not know which way to turn
