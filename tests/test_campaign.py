@@ -40,6 +40,22 @@ def bug(name):
     return next(one for one in BUGS if one.name == name)
 
 
+def test_a_foot_whose_leg_has_swung_since_is_held_along_the_axes_of_the_world():
+    """A state far from that of the last certified tick: the foot has turned, what it presses on has not."""
+    built = built_of(Case("go2_stand"))
+    watched, q, v = Watched(built.controller, "pytest tests/test_campaign.py -k swung"), built.q, np.zeros(18)
+    watched.reset(q, v)
+    for i in range(15):
+        watched.step(0.001 * i, q, v)
+    for i in range(15, 21):
+        watched.step(0.001 * i, np.full(19, np.nan), v)
+    q = q.copy()
+    q[-1] += 0.5
+    for i in range(21, 60):  # the rate of the torque hides nothing in the end
+        out = watched.step(0.001 * i, q, v)
+    assert out.status is wbc.Status.SAFE_HOLD
+
+
 @pytest.mark.row("all")
 @pytest.mark.timeout(3600 if LARGE else 300)
 @pytest.mark.parametrize("case", CASES, ids=lambda case: " ".join((case.spec, *case.changes)))

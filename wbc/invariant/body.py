@@ -46,6 +46,10 @@ class Body:
         T = self.data.oMf[there].actInv(self.data.oMf[here])
         return tau - self._pulled(there, T.act(pin.Force(F[3:], F[:3])))
 
+    def axes(self, contact: Any) -> Array:
+        """(3, 3) of a contact's frame in the world, at the state of `at`."""
+        return np.array(self.data.oMf[self.robot.frame_id(contact.frame)].rotation)
+
     def _pulled(self, frame: int, force: Any) -> Array:
         J = pin.getFrameJacobian(self.robot.model, self.data, frame, pin.ReferenceFrame.LOCAL)
         return np.asarray(J.T.dot(force.vector))

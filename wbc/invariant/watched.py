@@ -34,7 +34,8 @@ class Known(NamedTuple):
     bad: int = 0
     good: int = GOOD
     stale: int = 0
-    wrenches: Mapping[str, Array] | None = None  # the last certified ones; None: there are none yet
+    wrenches: Mapping[str, tuple[Array, Array]] | None = None  # the last certified ones (6,), and the axes (3, 3) they
+    # were in; None: there are none yet
     mark: tuple[Any, ...] | None = None  # of the memory
 
 
@@ -110,7 +111,10 @@ class Watched:
             self._advanced(call, before, after)
         else:
             self._held(call, out, before, after)
-        wrenches = {name: F.copy() for name, F in out.wrenches.items()} if certified else known.wrenches
+        wrenches = known.wrenches
+        if certified:  # at the state of `_moved`
+            contacts = controller.phase.contacts
+            wrenches = {name: (F.copy(), self._body.axes(contacts[name])) for name, F in out.wrenches.items()}
         self.known = self.known._replace(status=out.status, wrenches=wrenches, mark=mark(after))
         return out
 
@@ -265,27 +269,33 @@ class Watched:
         if wrenches is None or after.t is None:
             return
         self._body.at(q, np.zeros(robot.nv))
-        pull = np.zeros(robot.nv)
-        for name in after.lam:
-            if name in wrenches and name in controller.phase.contacts:
-                pull += self._body.carried(controller.phase.contacts[name], wrenches[name])
-        load = (self._body.gravity(q) + pull)[robot.base :]
-        inertia = self._body.inertia.diagonal()[robot.base :]
-        if out.status is Status.DEGRADED:
-            tau = load + (before.tau - load) * (1.0 - 1.0 / (HOLD + 1 - self.known.bad))
-        else:
-            tau = load if v is None else load - DAMPING * inertia * v[robot.base :]
-            if out.status is Status.STOPPED and controller.brakes:
-                tau = self._body.gravity(q)[robot.base :] if robot.gravity == "robot" else np.zeros(robot.nu)
+        gravity, inertia = self._body.gravity(q), self._body.inertia.diagonal()[robot.base :]
         low, high, rate = self._limits[after.phase]
         step = rate * controller.dt
-        tau = np.clip(tau, np.maximum(low, before.tau - step), np.minimum(high, before.tau + step))
-        error = np.abs(tau - after.tau)
-        # axes of a contact may have turned since, and drag that is modelled follows the velocity
-        drags = any(c.pushes is not None and c.pushes.modelled for c in controller.phase.contacts.values())
-        allowed = 1e-6 + (0.5 if drags else 0.02) * np.abs(pull).max(initial=0.0)
-        what = f"{robot.joints[int(error.argmax())]} off by {error.max():.3g} N m"
-        self._hold("hold", bool((error <= allowed).all()), f"{out.status.name}: {what}")
+        # drag that is modelled follows the velocity; axes that belong to neither may have turned a little
+        contacts = controller.phase.contacts
+        drags = any(c.pushes is not None and c.pushes.modelled for c in contacts.values())
+        found = []
+        for stay in (False, True):  # axes of a contact are the frame's, or stay as they are in the world
+            pull = np.zeros(robot.nv)
+            for name in after.lam:
+                if name in wrenches and name in contacts:
+                    F, R = wrenches[name]
+                    F = (F.reshape(2, 3) @ R.T @ self._body.axes(contacts[name])).ravel() if stay else F
+                    pull += self._body.carried(contacts[name], F)
+            load = (gravity + pull)[robot.base :]
+            if out.status is Status.DEGRADED:
+                tau = load + (before.tau - load) * (1.0 - 1.0 / (HOLD + 1 - self.known.bad))
+            else:
+                tau = load if v is None else load - DAMPING * inertia * v[robot.base :]
+                if out.status is Status.STOPPED and controller.brakes:
+                    tau = gravity[robot.base :] if robot.gravity == "robot" else np.zeros(robot.nu)
+            tau = np.clip(tau, np.maximum(low, before.tau - step), np.minimum(high, before.tau + step))
+            error = np.abs(tau - after.tau)
+            allowed = 1e-6 + (0.5 if drags else 0.02) * np.abs(pull).max(initial=0.0)
+            found.append((float((error - allowed).max()), robot.joints[int(error.argmax())], error.max()))
+        beyond, joint, most = min(found)
+        self._hold("hold", beyond <= 0.0, f"{out.status.name}: {joint} off by {most:.3g} N m")
 
     def _hold(self, invariant: str, holds: bool, told: str) -> None:
         self.checked[invariant] += 1
