@@ -79,10 +79,10 @@ def test_the_centre_of_mass_has_a_place(made):
     spec = made(G1, ("{over: [left_foot, right_foot]}", "{over: {left_foot: 0.7, right_foot: 0.3}}"))
     state = spec.robot.state(spec.q, np.zeros(35))
     feet = [state.frame(name).T.translation for name in ("left_sole", "right_sole")]
-    goal = spec.phases[0].tasks["balance"].path(0.0).T.translation
+    goal = spec.phases[0].tasks["balance"].reference(0.0).T.translation
     np.testing.assert_allclose(goal[:2], (0.7 * feet[0] + 0.3 * feet[1])[:2], atol=1e-12)
     still = made(G1, ("target: {over: [left_foot, right_foot]}", "target: start"))
-    here = still.phases[0].tasks["balance"].path(0.0).T.translation
+    here = still.phases[0].tasks["balance"].reference(0.0).T.translation
     assert goal[2] == pytest.approx(here[2], abs=1e-12)
     sway = "  level: {hold: {}}\n  sway: {line: {in: self, from: [0, 0, 0], to: [0, 0.02, -0.01], time: 2}}"
     moved = made(G1, ("  level: {hold: {}}", sway), ("target: {over: [left_foot, right_foot]}", "target: sway"))
