@@ -260,9 +260,6 @@ def of_phase(built: Any, phase: Any) -> Iterator[tuple[str, Any]]:
             yield f"{name}.integral_limit", task.integral_limit
             for t in TIMES:
                 yield f"{name}({t})", task.target(t)
-        if hasattr(task, "path"):
-            for t in TIMES:
-                yield f"{name}({t})", task.path(t).T.homogeneous
         if hasattr(task, "shares"):
             yield f"{name}.shares", sorted(task.shares.items())
             yield f"{name}.press", sorted(task.press.items())

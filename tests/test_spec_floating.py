@@ -86,7 +86,7 @@ def test_the_centre_of_mass_has_a_place(made):
     assert goal[2] == pytest.approx(here[2], abs=1e-12)
     sway = "  level: {hold: {}}\n  sway: {line: {in: self, from: [0, 0, 0], to: [0, 0.02, -0.01], time: 2}}"
     moved = made(G1, ("  level: {hold: {}}", sway), ("target: {over: [left_foot, right_foot]}", "target: sway"))
-    path = moved.phases[0].tasks["balance"].path
+    path = moved.phases[0].tasks["balance"].reference
     np.testing.assert_allclose(path(0.0).T.translation, here, atol=1e-12)
     np.testing.assert_allclose(path(2.0).T.translation, here + np.array([0, 0.02, -0.01]), atol=1e-12)
 
