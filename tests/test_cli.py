@@ -694,3 +694,22 @@ def test_a_model_is_loaded_as_the_spec_says(tmp_path: Path) -> None:
     report = said("check", written(tmp_path, "robot: arm.xml\n"))
     assert report["model_error"] < 1e-8
     assert Robot.load(str(tmp_path / "arm.xml")).joints == ("turn",)
+
+
+@pytest.mark.parametrize("buffered", [False, True])
+def test_what_a_library_in_c_prints_is_not_among_the_json(buffered):
+    """As HiGHS does its name, past Python's `sys.stdout`: at once, or at the end of the process."""
+    code = f"""
+import ctypes
+from wbc import cli, doctor
+libc = ctypes.CDLL(None)
+def examine():
+    libc.puts(b"a library's name")
+    {"" if buffered else "libc.fflush(None)"}
+    return {{"ok": True}}
+doctor.examine = examine
+cli.main(["doctor", "--json"])
+"""
+    done = python(code)
+    assert (done.returncode, json.loads(done.stdout)) == (0, {"ok": True})
+    assert done.stderr == "a library's name\n"

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .output import aside
+
 if TYPE_CHECKING:
     from ..spec import Spec
 
@@ -28,7 +30,15 @@ def SET(command: Callable[..., None]) -> Callable[..., None]:
     return _OVERRIDES(outside(command))
 
 
-JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, all else on stderr.")
+def _alone(context: click.Context, _: click.Parameter, given: bool) -> bool:
+    if given:
+        context.with_resource(aside())
+    return given
+
+
+JSON = click.option(
+    "--json", "as_json", is_flag=True, callback=_alone, help="One JSON object on stdout, all else on stderr."
+)
 SOLVER = click.option("--solver", metavar="NAME", help="QP solver: daqp, proxqp, or a backend of qpsolvers.")
 HIERARCHY = click.option(
     "--hierarchy",

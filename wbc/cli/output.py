@@ -2,19 +2,47 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import click
 
 from ..errors import Fault, LogError, SpecError, WbcError
+
+STDOUT, STDERR = 1, 2
+
+
+@contextmanager
+def aside() -> Iterator[None]:
+    """What libraries in C print to stdout (HiGHS its name) goes to stderr; what Python prints is alone there."""
+    own = sys.stdout
+    try:
+        direct = own.fileno() == STDOUT
+    except (AttributeError, OSError, ValueError):  # closed, or no file, as in a test
+        direct = False
+    if not direct:
+        yield
+        return
+    own.flush()
+    kept = os.dup(STDOUT)
+    os.dup2(STDERR, STDOUT)
+    try:
+        with open(kept, "w", encoding=own.encoding, closefd=False) as sys.stdout:
+            yield
+    finally:
+        sys.stdout = own
+        with suppress(OSError, AttributeError, TypeError):  # what they have not written yet
+            ctypes.CDLL(None).fflush(None)
+        os.dup2(kept, STDOUT)
+        os.close(kept)
 
 
 @contextmanager
