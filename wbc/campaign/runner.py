@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..build import Built, build
 from ..spec import Spec, load
-from .episode import Episode, Failure, Outcome
+from .episode import Episode, Failure, Outcome, rounding
 from .scenario import scenario
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def run_one(case: Case, seed: int) -> Outcome:
     built = built_of(case)
     made, repeat = scenario(built, seed), case.repeat(seed)
     outcome = Episode(built, made, repeat).run()
-    if seed % TWICE or outcome.failure is not None:
+    if seed % TWICE or outcome.failure is not None or rounding(built.controller):
         return outcome
     again = Episode(built, made, repeat).run()
     checked = outcome.checked | {"repeated": 1}
