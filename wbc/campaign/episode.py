@@ -11,10 +11,10 @@ import numpy as np
 
 from ..errors import InvariantError, SimulationError
 from ..fault import FaultPlan
+from ..holding import HELD
 from ..invariant import Watched
 from ..invariant.mark import mark
 from ..invariant.watched import STOPPED_AT
-from ..ladder import Status
 from ..model import quietly
 from ..qp import Array
 from ..run import felt_names, wrist
@@ -26,6 +26,7 @@ from .scenario import ENDING, Scenario
 if TYPE_CHECKING:
     from ..build import Built
     from ..controller import Controller
+    from ..ladder import Status
     from ..memory import Output
 
 # name -> what must hold, of several ticks
@@ -197,8 +198,10 @@ class Episode:
             out = watched.step(**clean)
         after = self._controller.memory
         assert after is not None
-        self._check("untouched", dict(after.targets) == dict(never.targets), tick, f"{kind}: another target")
-        ended = {Status.SAFE_HOLD, Status.STOPPED} & {after.status, never.status}
+        # a robot held until reset, maybe by the refused call as the last that it took, reads no targets
+        kept = memory if after.status in HELD else never
+        self._check("untouched", dict(after.targets) == dict(kept.targets), tick, f"{kind}: another target")
+        ended = after.status in HELD or never.status in HELD
         if lies or ended or (kind == "argument.measured" and self._felt(bad["measured"])):
             return out
         if not np.isfinite(max(out.certificate)):
@@ -232,7 +235,7 @@ class Episode:
         for kind in self._plan.now:
             self._count(kind, out.status)
         certified = bool(np.isfinite(max(out.certificate)))
-        self._held = self._held + 1 if out.status in (Status.SAFE_HOLD, Status.STOPPED) else 0
+        self._held = self._held + 1 if out.status in HELD else 0
         wrong = any(kind.startswith(("state.", "solver.")) for kind in self._plan.now) or call["missed"] >= STOPPED_AT
         if self._was_bad and not wrong and not self._held:
             self._next[1] += 1
