@@ -186,18 +186,22 @@ def test_row_5_a_sensor_that_is_wrong_from_the_first_tick(name, how, tell):
     tell("wrong from the first tick: times the force", seen.force.max() / EVERY[name].force, most=2.5, why=seen.repeat)
 
 
+LIFTING = [("eraser", -10), ("eraser_friction", 10), ("chalk", 10)]  # a drift [N/s] that lifts it, with no gate to tell
+
+
 @pytest.mark.row(5)
 @pytest.mark.parametrize(
     ("name", "rate"),
-    [("eraser", -10), ("eraser_friction", 10), ("chalk", 10)]
-    + ([(name, rate) for name in SPECS for rate in (-20, -5, -3, 3, 5, 20)] if LARGE else []),
+    LIFTING + ([(name, rate) for name in SPECS for rate in (-20, -5, -3, 3, 5, 20)] if LARGE else []),
 )
 def test_row_5_a_sensor_that_drifts_until_the_contact_is_left(name, rate, tell):
     """No gate tells of a slow drift. The tool that it lifts, or tips over, is held by its motion; the sensor that still
-    reads a force is not believed again, so that nothing is pressed on in the air."""
+    reads a force is not believed again, so that nothing is pressed on in the air. Where it presses harder, or the gate
+    does tell, it stays."""
     seen = faulty(name, f"sensor.drift {rate} at 0.2 for ever", at=0.2, after=min(20.0 / abs(rate), 5.0))
     judge_sensor(seen, tell)
-    assert seen.first("left: ") < np.inf, seen.repeat
+    assert seen.first("left: ") < np.inf or (name, rate) not in LIFTING, seen.repeat
+    assert seen.force[-1] > 0.0 or seen.told[-1][0] != "OK", seen.repeat
     assert seen.first(": pressed on again") == np.inf, seen.repeat
 
 

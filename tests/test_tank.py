@@ -277,6 +277,7 @@ def balance(result, built):
     return (task.tank.energy if task.tank is not None else 0.0) + given - stored - moving
 
 
+@pytest.mark.timeout(3600 if LARGE else 300)
 @pytest.mark.parametrize("kind", list(KINDS)[:3])
 def test_the_controllers_tank_is_never_below_zero(tmp_path, kind, tell):
     """Through the controller and MuJoCo, against the true pushes and the true way of the hand."""
